@@ -6,10 +6,11 @@ import statistics
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import require_list, require_within
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame, host_arrays
+from gffe_cl.engine.core.validation import require_kind, require_list, require_whole, require_within
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, host_arrays
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import PRESETS, Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -23,6 +24,7 @@ LADDER = {
     "performance": PRESETS["performance"].values,
 }
 _BUDGETS = (1e-3, 1e5)  # ms
+_MOST_REPEATS = 10000
 
 
 @dataclass(frozen=True)
@@ -64,20 +66,26 @@ def choose_options(
     options : Options
         Values of all options that no preset sets.
     repeats : int
-        Number of timed pairs for each preset.
+        Number of timed pairs for each preset, 1 to 10000.
 
     Raises
     ------
     GffeError
-        For fewer than three frames, and for a budget out of range.
+        For fewer than three frames, times that do not increase, invalid frames, and values out of range.
     """
+    require_kind(device, Device, "choose_options: device", "an open Device")
+    given = Options() if options is None else require_kind(options, Options, "choose_options: options")
+    count = require_whole(repeats, "choose_options: repeats", 1, _MOST_REPEATS)
     listed = require_list(frames, RenderedFrame, "choose_options: frames", "a list of RenderedFrame")
+    listed = [checked_frame(frame) for frame in listed]
     if len(listed) <= SETTLED:
         raise GffeError(f"choose_options: frames must be at least {SETTLED + 1}, got {len(listed)}")
     height, width = host_arrays(listed[0]).color.shape[:2]
     interval = listed[1].time - listed[0].time
+    if not all(b.time > a.time for a, b in pairwise(listed)):
+        raise GffeError("choose_options: times of frames must increase")
     loop = FrameLoop("", width, height, 1.0, interval, tuple(listed), (None,) * len(listed), forward=True)
-    return choose_for(device, loop, budget_ms, options or Options(), repeats)
+    return choose_for(device, loop, budget_ms, given, count)
 
 
 def choose_for(device: Device, loop: FrameLoop, budget_ms: float, options: Options, repeats: int) -> Choice:

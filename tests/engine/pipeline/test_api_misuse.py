@@ -54,7 +54,7 @@ WRONG = (
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",
     "Pipeline.keep", "Pipeline.change_options", "attach", "present",
-    "Device.buffer", "Device.empty", "Device.from_context", "sharing_support",
+    "Device.buffer", "Device.empty", "Device.from_context", "sharing_support", "choose_options",
 }  # fmt: skip
 WITH_A_FAKE_DRIVER = {"GlSharing", "GlSharing.buffer", "GlSharing.open_device", "MemorySharing", "MemorySharing.buffer"}
 RECORDS = {"SharingSupport", "DeviceInfo", "BadPixels", "Overlays", "RenderedFrame", "FrameEntry", "Window"}
@@ -364,6 +364,13 @@ def device_calls(pipeline, frame):
         "present": Call(gffe_cl.present, through),
         "ExtrapolatedFrame.mapped": Call(lambda **given: made.mapped(**given).__enter__(), {"name": "gae"}),
         "Device.buffer": Call(device.buffer, {"nbytes": 16, "mapped": False}),
+        "choose_options": Call(
+            gffe_cl.choose_options,
+            {
+                **{"device": device, "frames": [replace(frame, time=k / 30) for k in range(3)], "budget_ms": 1e5},
+                **{"options": other.options, "repeats": 1},
+            },
+        ),
         "sharing_support": Call(gffe_cl.sharing_support, {"device": device}),
         "Device.empty": Call(device.empty, {"shape": (3, 4), "dtype": np.float32}),
         "Device.from_context": Call(type(device).from_context, {"context": device.context, "queue": device.queue}),
