@@ -169,7 +169,7 @@ class Pipeline:
 
     @property
     def exposure(self) -> float:
-        """Factor on color before display, 1e-6 to 1e6. Raises GffeError for others. Set it before `submit`: the frame
+        """Factor on color before display, 1e-6 to 1e6. Raises GffeError for others. Set it before `submit`; the frame
         keeps it, and so do new frames made from it."""
         return self._exposure
 

@@ -75,10 +75,10 @@ def choose_options(
     repeats: int = 9,
     size: tuple[int, int] | None = None,
 ) -> Choice:
-    """Measure presets on `device` with rendered frames of your program, and return the best that fits, else the
-    quickest.
+    """Measure presets on `device` with rendered frames of your program, and return the best that fits.
 
-    The cost is that of one rendered and one new frame, by the clock, from `Pipeline.submit` until the new frame is
+    Where none fits into the budget, it is the quickest. Those that need more memory than the device has are passed
+    over. The cost is that of one rendered and one new frame, by the clock, from `Pipeline.submit` until the new frame is
     there: the median of `repeats`. It depends on the picture, so take frames of a scene that is hard.
 
     Parameters
