@@ -78,8 +78,8 @@ def choose_options(
     """Measure presets on `device` with rendered frames of your program, and return the best that fits.
 
     Where none fits into the budget, it is the quickest. Those that need more memory than the device has are passed
-    over. The cost is that of one rendered and one new frame, by the clock, from `Pipeline.submit` until the new frame is
-    there: the median of `repeats`. It depends on the picture, so take frames of a scene that is hard.
+    over. The cost is that of one rendered and one new frame, by the clock, from `Pipeline.submit` until the new frame
+    is there: the median of `repeats`. It depends on the picture, so take frames of a scene that is hard.
 
     Parameters
     ----------
