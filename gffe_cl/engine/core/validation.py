@@ -174,9 +174,9 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
     """Return `value` as an array of real numbers (of the `kinds` of NumPy's types). Raises GffeError unless it has the
     `shape`: for each axis its length, several lengths, or None for any. With an ellipsis in front, only the last axes
     are checked."""
-    array = _as_array(value)
+    array, reason = _as_array(value)
     if array is None or array.dtype.kind not in "biufc":
-        raise GffeError(f"{what} must be an array of numbers, got {shown(value)}")
+        raise GffeError(f"{what} must be an array of numbers, got {shown(value)}{reason}")
     lengths = shape[1:] if shape[:1] == (...,) else shape
     last = array.shape[array.ndim - len(lengths) :] if len(lengths) < len(shape) else array.shape
     fits = len(last) == len(lengths) and all(
@@ -191,17 +191,21 @@ def require_array(value: Any, what: str, *shape: Any, kinds: str = "iuf") -> np.
     return array
 
 
-def _as_array(value: Any) -> np.ndarray | None:
-    """Return `value` as an array, None if it is not one. Tensors that only DLPack hands over, as those in a GPU's
-    memory, are copied into host memory once."""
+def _as_array(value: Any) -> tuple[np.ndarray | None, str]:
+    """Return `value` as an array, None if it is not one; and why a tensor is none, for a message. Tensors that only
+    DLPack hands over, as those in a GPU's memory, are copied into host memory once."""
     with suppress(ValueError, TypeError, RuntimeError):  # rows of several lengths, or no array at all
         array = np.asarray(value)
         if array.dtype != object:
-            return array
-    if hasattr(value, "__dlpack__"):
-        with suppress(Exception):  # each library has its own for what it cannot hand over
-            return np.from_dlpack(value, device="cpu")
-    return None
+            return array, ""
+    if not hasattr(value, "__dlpack__"):
+        return None, ""
+    if np.lib.NumpyVersion(np.__version__) < "2.1.0":
+        return None, f" (tensors of a GPU need NumPy 2.1 or newer, this is {np.__version__})"
+    try:
+        return np.from_dlpack(value, device="cpu"), ""
+    except Exception as error:  # each library has its own for what it cannot hand over
+        return None, f" ({type(error).__name__}: {error})"
 
 
 def require_vector(value: Any, what: str, count: int = 3) -> np.ndarray:

@@ -100,8 +100,8 @@ class RenderedFrame:
     Notes
     -----
     Arrays are NumPy's or whatever it can read in place; tensors that DLPack hands over, such as a GPU's, are copied to
-    the host. With a `FrameFormat` arrays and buffers are as that describes them. The fields are checked where the frame
-    is used: `Pipeline.submit` and `present` raise GffeError.
+    the host, which needs NumPy 2.1 or newer. With a `FrameFormat` arrays and buffers are as that describes them. The
+    fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
     """
 
     color: Any

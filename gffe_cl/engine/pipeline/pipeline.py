@@ -65,7 +65,7 @@ class Pipeline:
     ----------
     exposure : float
         Factor on color before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
-        frame.
+        frame. It counts from the next `submit` on.
     format : FrameFormat or None
         Description of the buffers of rendered frames. It may change from frame to frame.
     is_cut : bool
@@ -114,7 +114,7 @@ class Pipeline:
         self.fps = require_frame_rate(fps, "pipeline: fps")
         forced = int64_atomics
         self._int64_atomics = None if forced is None else require_bool(forced, "pipeline: int64_atomics")
-        self._exposure = 1.0
+        self._exposure = self._exposure_of_frame = 1.0
         self.watcher: Watcher | None = None
         self.intake = Intake(device, self.sizes)
         self._begin(self.options)
@@ -169,8 +169,8 @@ class Pipeline:
 
     @property
     def exposure(self) -> float:
-        """Factor on color before display, 1e-6 to 1e6. Raises GffeError for others. Set it before `submit`, which
-        measures how shading changed between rendered frames."""
+        """Factor on color before display, 1e-6 to 1e6. Raises GffeError for others. Set it before `submit`; the frame
+        keeps it, and so do new frames made from it."""
         return self._exposure
 
     @exposure.setter
@@ -254,6 +254,7 @@ class Pipeline:
         board, frames = self.board, self.frames
         before = frames.previous, frames.current
         last = (None, frames.times, None) if frame.reset else (frames.current, frames.times, frames.shown)
+        self._exposure_of_frame = self.exposure
         taken, shown = self.intake.take(prepared, *last, self.exposure)
         frames.take(taken, shown, frame.reset)
         for stage in self._swapping:
@@ -273,7 +274,7 @@ class Pipeline:
         """Enqueue the stages' work on the current frame. Returns the event of `Board.perform`."""
         frames = self.frames
         rest = frames.rest.copy()
-        step = Step(frames.needed, frames.previous, frames.recent_times, exposure=self.exposure, given=rest)
+        step = Step(frames.needed, frames.previous, frames.recent_times, exposure=self._exposure_of_frame, given=rest)
         return self.board.perform(step, self.stages.values(), ())
 
     def _decide_cut(self) -> None:
@@ -367,7 +368,7 @@ class Pipeline:
         given = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
         if self.watcher:
             self.watcher.before(self)
-        step = Step(source, frames.previous, frames.recent_times, exposure=self.exposure, **given)
+        step = Step(source, frames.previous, frames.recent_times, exposure=self._exposure_of_frame, **given)
         self._finish()
         wait_for_all(self.device.queue, events)
         correction = self._correction

@@ -17,8 +17,12 @@ _TRIAL = 256  # pixels along the longer side of the images by which memory is es
 _MARGIN = 0.97  # of the size that would fit: sides are rounded
 
 
+class NoRoomError(GffeError):
+    """Error for images that do not fit on the device, as estimated before anything is allocated."""
+
+
 def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], int]) -> None:
-    """Raise a GffeError that names a size that fits, unless images of `sizes` fit on the device. `allocated_for`
+    """Raise a NoRoomError that names a size that fits, unless images of `sizes` fit on the device. `allocated_for`
     returns the bytes of all buffers for other sizes."""
     pixels = _pixels(sizes)
     if pixels * _SURELY <= device.memory:
@@ -33,7 +37,7 @@ def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], 
         return
     width, height = _scaled(sizes.target, _MARGIN * math.sqrt(device.memory / needed))
     fits = f"expected at most about {width}×{height} of this shape with these options"
-    raise GffeError(f"pipeline: {footprint(device, sizes, needed)} ({fits})")
+    raise NoRoomError(f"pipeline: {footprint(device, sizes, needed)} ({fits})")
 
 
 def footprint(device: Device, sizes: Sizes, nbytes: float | None) -> str:

@@ -139,11 +139,10 @@ def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), camer
     engine = Engine(library(options), device, *size, render_width=render_size[0], render_height=render_size[1], **more)
     int64 = None if more.get("int64_atomics", -1) < 0 else bool(more["int64_atomics"])
     pipeline = Pipeline(device, *size, options, render_size=render_size, int64_atomics=int64)
-    pipeline.exposure = exposure
-    engine.set_exposure(exposure)
     compared, cuts = set(), []
     for frame, described in zip(frames, formats or [None] * len(frames), strict=True):
-        pipeline.format = described
+        pipeline.format, pipeline.exposure = described, exposure
+        engine.set_exposure(exposure)
         if formats:
             engine.set_format(described, frame.geometry_jitter)
         pipeline.submit(frame)
@@ -151,6 +150,8 @@ def run_both(device, library, options, frames, size=(W, H), alphas=(0.5,), camer
             engine.set_overlays(frame.overlays)
         buffers = (frame.color, frame.depth, frame.motion)
         engine.submit(buffers, frame.camera, frame.time, frame.display_camera, frame.reset)
+        pipeline.exposure = exposure / 2  # of the next frame
+        engine.set_exposure(exposure / 2)
         assert engine.is_cut == pipeline.is_cut
         cuts.append(pipeline.is_cut)
         assert_same_frame(engine, engine.present(), pipeline.present())

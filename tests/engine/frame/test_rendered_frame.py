@@ -29,7 +29,7 @@ class TensorOnGpu:
         return self.array.__dlpack__(dl_device=dl_device, **more)
 
 
-def test_tensors_of_other_libraries():
+def test_tensors_of_other_libraries(monkeypatch):
     random = np.random.default_rng(3)
     color, depth = random.random((H, W, 3), np.float32), random.random((H, W), np.float32)
     motion = random.random((H, W, 2), np.float32)
@@ -38,7 +38,12 @@ def test_tensors_of_other_libraries():
     for found, expected in zip((arrays.color, arrays.depth, arrays.motion), (color, depth, motion), strict=True):
         assert np.array_equal(found, expected)
     given[1] = TensorOnGpu(depth, lost=True)
-    with pytest.raises(GffeError, match=r"^frame: depth must be an array of numbers, got a TensorOnGpu$"):
+    said = r"^frame: depth must be an array of numbers, got a TensorOnGpu \("
+    with pytest.raises(GffeError, match=said + r"BufferError: the device is lost\)$"):
+        host_arrays(RenderedFrame(*given, camera(W, H), time=0.0), H, W)
+    given[0] = color
+    monkeypatch.setattr(np, "__version__", "2.0.2")
+    with pytest.raises(GffeError, match=said + r"tensors of a GPU need NumPy 2.1 or newer, this is 2.0.2\)$"):
         host_arrays(RenderedFrame(*given, camera(W, H), time=0.0), H, W)
 
 

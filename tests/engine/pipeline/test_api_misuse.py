@@ -368,7 +368,7 @@ def device_calls(pipeline, frame):
             gffe_cl.choose_options,
             {
                 **{"device": device, "frames": [replace(frame, time=k / 30) for k in range(3)], "budget_ms": 1e5},
-                **{"options": other.options, "repeats": 1},
+                **{"options": other.options, "repeats": 1, "size": (W, H)},
             },
         ),
         "sharing_support": Call(gffe_cl.sharing_support, {"device": device}),

@@ -2,7 +2,10 @@
 or follow the program. Every call is made in Python and in the exported C, which must decide alike."""
 
 import math
+import subprocess
 from dataclasses import dataclass
+from importlib.resources import files
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -121,6 +124,39 @@ def test_c_decides_as_python_does():
     if not library():
         pytest.skip("no C compiler, or no CL/cl.h (Debian: opencl-c-headers)")
     assert Pacer(60)._c.raw.strip(b"\0")  # the tests here really call it
+
+
+# Two refreshes of the example in the export's README: before the first rendered frame, and after it.
+EXAMPLE = """
+#include "gffe.h"
+#define gffe_extrapolate(...) ++made
+static double seconds;
+static double now(void) { return seconds += 0.01; }
+int main(void) {
+    int refresh, made = 0, is_cut = 1;
+    const double time = 0;
+    %s
+    for (refresh = 0; refresh < 2; ++refresh) {
+        const int there_is_a_rendered_frame = refresh;
+        %s
+        if (made != refresh) return 1;
+    }
+    return 0;
+}
+"""
+
+
+def test_the_example_of_the_export_waits_for_a_rendered_frame(tmp_path):
+    if not library():
+        pytest.skip("no C compiler, or no CL/cl.h (Debian: opencl-c-headers)")
+    c = Path(str(files("gffe_cl.engine.export") / "c"))
+    example = next(part for part in (c / "README.md").read_text().split("```") if "gffe_pacer pacer;" in part)
+    example = example.removeprefix("c\n").replace("gffe_paced plan;", "gffe_paced plan = {0};")
+    begin, _, turn = example.partition("/* ... at each refresh: */")
+    (tmp_path / "example.c").write_text(EXAMPLE % (begin, turn))
+    command = ["cc", f"-I{c}", tmp_path / "example.c", c / "gffe_pacer.c", "-lm", "-o", tmp_path / "example"]
+    subprocess.run(command, check=True)
+    subprocess.run([tmp_path / "example"], check=True)
 
 
 def test_jitter_of_the_renderer_is_not_seen():

@@ -4,6 +4,7 @@ import pytest
 from tiny_frames import frames
 
 from gffe_cl import GffeError, Options, Pipeline, choose_options
+from gffe_cl.engine.opencl.device import open_info
 from gffe_cl.engine.options import PRESETS
 from gffe_cl.engine.timing import choice
 
@@ -35,20 +36,48 @@ def test_performance_leaves_stages_out(device):
     assert made["balanced"] - made["performance"] >= {"background", "silhouettes", "hidden_parts", "warp", "holes"}
 
 
+FALLING = (8.0, 6.0, 4.0, 2.0)
+
+
 @pytest.mark.parametrize(
-    ("budget", "name", "fits"),
-    [(9, "quality", True), (7, "balanced", True), (5, "balanced without the network", True), (1, "performance", False)],
+    ("times", "budget", "name", "fits"),
+    [
+        (FALLING, 9, "quality", True),
+        (FALLING, 7, "balanced", True),
+        (FALLING, 5, "balanced without the network", True),
+        (FALLING, 1, "performance", False),
+        ((8.0, 6.0, 2.0, 4.0), 1, "balanced without the network", False),
+    ],
 )
-def test_the_best_that_fits_is_chosen(device, monkeypatch, budget, name, fits):
-    """By times that are told; what was chosen before it is known to be too slow."""
-    taken = iter((8.0, 6.0, 4.0, 2.0))
-    monkeypatch.setattr(choice, "_milliseconds", lambda *_: next(taken))
+def test_the_best_that_fits_is_chosen(device, monkeypatch, times, budget, name, fits):
+    """Else the quickest, by times that are told; what was measured before it is known to be too slow."""
+    told = iter(times)
+    monkeypatch.setattr(choice, "_milliseconds", lambda *_: next(told))
     monkeypatch.setattr(Options, "corrects_shading", property(lambda self: self.shading_correction is not False))
     made = choose_options(device, list(frames(3)), budget, Options(ui_detection=True))
     assert (made.name, made.fits, made.options.ui_detection) == (name, fits, True)
     assert made.options.corrects_shading == (name in ("quality", "balanced"))
-    assert list(made.milliseconds)[-1] == name and made.sentence.startswith(f"{name}: ")
+    assert made.milliseconds[name] == min(made.milliseconds.values()) and made.sentence.startswith(f"{name}: ")
+    assert made.sentence.count(" takes ") == len(made.milliseconds) - fits  # others, and "takes the least"
     assert list(choice.LADDER)[: len(made.milliseconds)] == list(made.milliseconds)
+
+
+def test_presets_that_need_too_much_memory_are_passed_over(device):
+    small, given = open_info(device.info), (list(frames(3)), 1e5, Options(shading_correction=False), 1, (640, 360))
+    small.memory = 8 << 20
+    made = choose_options(small, *given)
+    assert (made.name, made.fits, made.too_large) == ("performance", True, ("quality", "balanced"))
+    assert made.sentence.endswith(
+        "100000 ms; " + "; ".join(f"{name} needs more memory than the device has" for name in ("balanced", "quality"))
+    )
+    small.memory = 4 << 20
+    with pytest.raises(GffeError, match=r"640×360 .* takes .* of the 4 MiB of .*expected at most about"):
+        choose_options(small, *given)
+
+
+def test_frames_may_be_smaller_than_the_display(device):
+    made = choose_options(device, list(frames(3)), 1e5, Options(upscale=2, shading_correction=False), 1, size=(48, 32))
+    assert made.name == "quality"
 
 
 def test_presets_are_really_measured(device):

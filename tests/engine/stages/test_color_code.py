@@ -1,6 +1,7 @@
 """Color code: the kernel against its twin."""
 
 import numpy as np
+import tiny_frames
 import twins
 from twins.common import decode_color, encode_color
 from twins.warp import codes_of
@@ -35,6 +36,19 @@ def test_codes_are_halves_at_every_exposure(device):
             pipeline.submit(RenderedFrame(color, depth, motion, camera, k / 30, reset=k == 0))
         new = pipeline.extrapolate().numpy("color").astype(np.float32)
         np.testing.assert_allclose(new, color, rtol=3e-3, err_msg=f"exposure {exposure}")
+
+
+def test_a_frame_keeps_its_exposure(device):
+    """Its colors are in the code of its exposure, whatever is set before new frames are made from it."""
+    seen = []
+    for later in (1.0, 4.0):
+        pipeline = Pipeline(device, tiny_frames.W, tiny_frames.H, Options(shading_correction=False))
+        for frame in tiny_frames.frames():
+            pipeline.exposure = 1.0
+            pipeline.submit(frame)
+            pipeline.exposure = later
+            seen.append(pipeline.extrapolate().numpy("color"))
+    assert np.array_equal(seen[:3], seen[3:])
 
 
 def test_bright_colors_come_back_and_weigh_less():

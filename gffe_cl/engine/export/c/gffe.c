@@ -72,7 +72,7 @@ gffe_status gffe_create(cl_context context, cl_command_queue queue, const gffe_o
     if (!options) return gffe_fail(g, GFFE_INVALID, "gffe_create: needs options (gffe_default_options)");
     g->options = *options;
     g->counts = -1;
-    g->step.exposure = 1;
+    g->exposure = g->step.exposure = 1;
     g->step.target[0] = options->width;
     g->step.target[1] = options->height;
     g->step.source[0] = options->render_width ? options->render_width : options->width;
@@ -121,7 +121,7 @@ double gffe_interval(gffe *g) {
 gffe_status gffe_set_exposure(gffe *g, double exposure) {
     gffe_status status = gffe_need(g, g, "gffe");
     if (!status) status = gffe_need_number(g, "exposure", exposure, GFFE_LEAST_EXPOSURE, GFFE_MOST_EXPOSURE);
-    if (!status) g->step.exposure = exposure;
+    if (!status) g->exposure = exposure;
     return status;
 }
 
@@ -296,6 +296,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     step->cameras[GFFE_FRAME_DISPLAY] = *display_camera;
     g->has_previous = g->has_frame && !reset;
     g->has_frame = 1;
+    step->exposure = g->exposure;
     step->number = step->number % GFFE_MOST_NUMBER + 1;
     if (!gffe_see_alike(&step->cameras[GFFE_PREVIOUS], camera)) {
         step->rests = 0;

@@ -173,7 +173,8 @@ int gffe_is_cut(gffe *g);
 /* Returns the seconds between the last two rendered frames; 1/fps after a reset. */
 double gffe_interval(gffe *g);
 
-/* Sets the factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. */
+/* Sets the factor on color before display, 1e-6 to 1e6, for the network; 1 until it is set. Call it before gffe_submit:
+   the frame keeps it, and so do new frames made from it. */
 gffe_status gffe_set_exposure(gffe *g, double exposure);
 
 /* Makes the frame at `time`, seconds, seen by `camera`, in display pixels: the one that you will show the next frame

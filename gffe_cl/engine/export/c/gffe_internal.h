@@ -207,6 +207,7 @@ struct gffe {
     cl_mem overlays[4]; /* of the next frame */
     int has_format, converts[2]; /* color; depth and motion */
     double jitter[2]; /* of the next frame's geometry, pixels of this */
+    double exposure;  /* of the next frame */
     cl_mem converted[2][3]; /* color, depth and motion of two frames in turn */
     int turn;
     int counts;     /* of a cut: the buffer's reference, or -1 */
