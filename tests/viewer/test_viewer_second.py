@@ -208,6 +208,22 @@ def test_a_row_over_time_is_that_row_of_every_frame(session):
     model.playback.seek(3)
     session.settle()
     np.testing.assert_array_equal(rows[3], model.contents.image("final")[4])
+    model.pointing.pick((3, 6))
+    rows, _ = studied(session, model.studies.over_time).picture(model.studies.here)
+    assert list(model.studies.over_time.found) == [3, 4, 5, 0, 1, 2], "as a pipeline makes them"
+    np.testing.assert_array_equal(rows[3], model.contents.image("final")[6])
+    model.show_layer("frame.depth")
+    session.settle()
+    found = studied(session, model.studies.over_time).found
+    assert [found[slot] is None for slot in range(6)] == [True, False] * 3, "rendered frames have no such layer"
+    model.store.forget(lambda key: True)  # as where the sequence has grown
+    session.frame()
+    assert not model.studies.over_time.found
+    model.studies.over_time.look()
+    session.frame()
+    for job in (jobs := list(model.studies._jobs.values())):
+        job.cancel()
+    assert studied(session, model.studies.over_time).found.keys() == set(range(6)), jobs
 
 
 def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):

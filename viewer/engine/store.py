@@ -68,6 +68,8 @@ class Store:
         Bytes: that may be held, that are kept here, and that are held elsewhere: by pipelines, sources and textures.
     changes : int
         How often what is there has changed.
+    outdated : int
+        How often slots were dropped because they are other ones now.
     source : int
         The source, by `Recipe.source`, whose slots are made.
     news : threading.Condition
@@ -76,6 +78,7 @@ class Store:
 
     def __init__(self, most: int = CACHE_MIB << 20):
         self.most, self.nbytes, self.others, self.changes, self.source = most, 0, 0, 0, 0
+        self.outdated = 0
         self.news = threading.Condition()
         self._wants: tuple[Want, ...] = ()
         self._held: dict[Subject, Frame | Inspection | Failure] = {}  # what was made of them, by subject
@@ -183,6 +186,7 @@ class Store:
                     self._drop(key)
             self._held = {subject: made for subject, made in self._held.items() if not outdated(subject[0])}
             self.changes += 1
+            self.outdated += 1
             self.news.notify_all()
 
     # ---- what is kept ----------------------------------------------------------------------------------------

@@ -238,8 +238,8 @@ class Model(Opening):
         b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
         here = Here(
             self.slot, a, b, tuple(self.contents.layers), self.view.a, self.pointing.picked,
-            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.engine.recipe,
-            self.contents.frame_info,
+            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.follows,
+            self.engine.recipe, self.contents.frame_info,
         )  # fmt: skip
         wants += self.studies.update(here, idle and result is not None)
         if awaited is not None and result is not None:
