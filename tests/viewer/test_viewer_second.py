@@ -245,6 +245,11 @@ def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
     session.settle()
     assert (session.canvas.layers["B:final"] != model.contents.image("final")).any()
     assert studied(session, model.studies.differing).first.spec.group == "history"
+    run_sequence(Recorded(source, device), tmp_path / "again", device, replace(options, motion=True), [0.5])
+    shutil.rmtree(tmp_path / "out")
+    (tmp_path / "again").rename(tmp_path / "out")
+    session.settle()
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
     model.take_b_from(str(tmp_path / "nothing"))
     session.settle()
     assert "nothing" in model.showing.fault_of_b and model.contents.second is None

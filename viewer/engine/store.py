@@ -156,6 +156,14 @@ class Store:
             place = self._wants.index(want) if want in self._wants else 0
             return {other.key for other in self._wants[:place]}
 
+    def beside(self, want: Want) -> Frame | None:
+        """Return the computed frame of the same slot that is there for the most urgent want; None if there is none."""
+        with self.news:
+            others = [other for other in self._wants if other.key.slot == want.key.slot and other.pixel is None]
+            computed = (other for other in others if not other.key.recipe.setup.place)
+            found = (self._held.get(other.subject) or self._find(other) for other in computed)
+            return next((made for made in found if isinstance(made, Frame)), None)
+
     def put(self, want: Want, made: Frame | Inspection | Failure) -> None:
         """Store what was made of a want, under its key and no other. A frame is kept together with the layers that are
         there of its slot; its pictures must not be changed afterwards."""

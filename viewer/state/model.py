@@ -148,7 +148,8 @@ class Model(Opening):
             self.preview = preview
             self.screen.preview(preview)
         self.undo.update(now)
-        self._attach_again(now)
+        if self.saving.work is None:  # which would be given up
+            self._take_attached()
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -410,7 +411,8 @@ class Model(Opening):
     @property
     def busy(self) -> bool:
         """Whether the engine works on anything that the picture waits for, or that was asked for."""
-        return self.engine.busy or (self.showing.is_waiting and not self.stopped)
+        waits = self.showing.is_waiting and not self.stopped
+        return self.engine.busy or waits or self._attaching is not None
 
     @property
     def settled(self) -> bool:
@@ -474,6 +476,8 @@ class Model(Opening):
             found.append(f"as it was before it could not be read again: {self.reload_fault}")
         if self.source is not None and self.source.changed_on_disk:
             found.append("files on disk have changed: Ctrl+R reads them again")
+        if self.frozen and self.source.program.ended:
+            found.append("the program has ended: L follows the next one of its name")
         return found
 
     def keep_as_b(self) -> None:
@@ -612,6 +616,8 @@ class Model(Opening):
         if self._closed:
             return
         self._closed = True
+        self._stop_attaching()
+        self._background.close()
         self.saving.close()
         for part in (
             self.comparison, self.regions, self.invalid, self.histogram, self.worst, self.selection, self.measured,

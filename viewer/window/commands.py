@@ -70,10 +70,11 @@ def register(app: Workspace) -> None:
         checked=lambda: model.settings.legends)  # fmt: skip
     add("attach", "Attach …", "Program", "",
         lambda: app.open_path.open(model.attach_to, "Name of a running program that has called gffe_cl.attach"),
-        tooltip="When a followed program ends, the viewer attaches again to the next one of its name")  # fmt: skip
+        tooltip="Look for a running program in the background, and follow it")  # fmt: skip
     add("follow", "Follow the program", "Program", "L", lambda: model.freeze() if model.follows else model.follow(),
         attached, checked=lambda: model.follows,
-        tooltip="On: its frames as they come. Off: its last rendered frames, frozen")  # fmt: skip
+        tooltip="On: its frames as they come, also of the next program of its name. "
+        "Off: its last rendered frames, frozen")  # fmt: skip
     add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
         lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
         tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
