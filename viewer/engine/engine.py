@@ -134,7 +134,7 @@ class Engine:
     @property
     def nbytes(self) -> int:
         """Bytes that pipelines and sources hold, mostly on the device."""
-        return sum(maker.nbytes for maker in tuple(self._makers))
+        return sum(maker.nbytes + maker.source.nbytes for maker in tuple(self._makers))
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -211,6 +211,8 @@ class Engine:
         if self.source:
             self.source.close()
         self._maker_at_work = None
+        for maker in self._makers:
+            maker.drop()
         self._makers, self._remote, self._stored, self.cuts = [], None, None, {}
         if isinstance(source, AttachedSource):
             self._remote = RemoteSlots(source, self._check_while_waiting)
@@ -228,7 +230,9 @@ class Engine:
         before = self.source.count
         if self.source.grow():
             self.wake()
-            del self._makers[1:]  # their sources are not the one that has grown
+            for maker in self._makers[1:]:  # their sources are not the one that has grown
+                maker.drop()
+            del self._makers[1:]
             self.store.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
 
     def _do_kernels(self) -> None:

@@ -58,9 +58,9 @@ class Playhead:
 class Store:
     """Frames by key and layers. The interface calls `want` and `get`, the engine's thread `next` and `put`.
 
-    At most `most` bytes are kept, less `others`. Where room is needed, recipes that are not in use go first, the one
-    used longest ago first of all; then, of those in use, what will be shown last from the playhead on. A frame that
-    would itself have to go is not kept.
+    At most `most` bytes are kept, less `others` and the frames that are only held. Where room is needed, recipes that
+    are not in use go first, the one used longest ago first of all; then, of those in use, what will be shown last from
+    the playhead on. A frame that would itself have to go is not kept.
 
     Attributes
     ----------
@@ -141,7 +141,9 @@ class Store:
 
     @property
     def _room(self) -> int:
-        return max(self.most - self.others, 0)
+        held = (frame for frame in self._held.values() if isinstance(frame, Frame))
+        only_held = sum(frame.nbytes for frame in held if self._kept_frame(frame.key, frame.layers) is None)
+        return max(self.most - self.others - only_held, 0)
 
     # ---- the engine's side -----------------------------------------------------------------------------------
 
@@ -202,17 +204,17 @@ class Store:
     def _is_missing(self, want: Want) -> bool:
         if want.key.recipe.source != self.source or want.subject in self._held:
             return False
-        return want.pixel is not None or not self._has(want)
+        return want.pixel is not None or self._kept_frame(want.key, want.layers) is None
 
-    def _has(self, want: Want) -> bool:
-        kept = self._kept.get(want.key.recipe, {}).get(want.key.slot)
-        return kept is not None and want.layers <= kept.layers
+    def _kept_frame(self, key: Key, layers: frozenset[str]) -> Frame | None:
+        kept = self._kept.get(key.recipe, {}).get(key.slot)
+        return kept if kept is not None and layers <= kept.layers else None
 
     def _find(self, want: Want) -> Frame | None:
-        if not self._has(want):
+        frame = self._kept_frame(want.key, want.layers)
+        if frame is None:
             return None
         self._kept.move_to_end(want.key.recipe)
-        frame = self._kept[want.key.recipe][want.key.slot]
         images = {name: frame.images[name] for name in want.layers if name in frame.images}
         return replace(frame, layers=want.layers, images=images)
 

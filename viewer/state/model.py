@@ -13,7 +13,7 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import moved
-from gffe_cl.engine.inspection.explain.pixel_explain_types import Link
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Link
 from gffe_cl.engine.options import Options
 from ..engine.doctor_worker import Doctor
 from ..engine.figures import Figures, Measurements
@@ -111,7 +111,6 @@ class Model(Opening):
     def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
-        self.undo.forget()
         self.notice, self.reload_fault, self._target = "", "", source.target
         for part in (
             self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk, self.selection,
@@ -131,10 +130,12 @@ class Model(Opening):
             self.timings = Timings()
         self.comparison.drop_missing()
         self.framing.due = not self.keep_place
-        self.keep_place = False
         if self.frozen:
             self.playback.n = source.generated
             self.playback.end()
+        if not self.keep_place:
+            self.undo.forget()
+        self.keep_place = False
         if source.target and not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
 
@@ -167,7 +168,7 @@ class Model(Opening):
             ready = self.playback.slot
         due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
         self._take_values()
-        if self.showing.update(due, self._passes, self.screen.ready or result is None):
+        if self.showing.update(due, self._passes and not self.stopped, self.screen.ready or result is None):
             self._shown()
         if self.follows and self.showing.shows_due:
             self.source.flight += 1  # another frame is awaited from now on
@@ -385,8 +386,13 @@ class Model(Opening):
         return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
     def stop_computing(self) -> None:
-        """Give up the picture that is being made, until another one is due; a second call goes on with it."""
-        self._stopped = None if self.stopped else self.showing.awaited
+        """Give up the picture that is being made, and playing, until another one is due; a second call goes on with
+        it."""
+        if self.stopped:
+            self._stopped = None
+            return
+        self.playback.pause()
+        self._stopped = self.showing.skip()
 
     @property
     def stopped(self) -> bool:
@@ -458,6 +464,14 @@ class Model(Opening):
         return result is None or not (self.follows or self.pointing.tells(result.key))
 
     @property
+    def values(self) -> tuple[Inspection | None, bool]:
+        """Return the values of the picked pixel, else of the one under the pointer; and whether they are still those of
+        another picture."""
+        if self.pointing.picked is not None:
+            return self.pointing.pinned, not self.current or self.story_is_due
+        return self.pointing.inspection, not (self.current and self.shows_values)
+
+    @property
     def builds(self) -> tuple[str, str]:
         """Return which kernels the displayed frames of A and B were made with, where these differ; else empty texts."""
         shown = self.contents.result, self.contents.second
@@ -473,7 +487,7 @@ class Model(Opening):
         if self.engine.build_error:
             found.append(f"kernels on disk do not build: build {built} is shown")
         if self.reload_fault:
-            found.append(f"as it was before it could not be read again: {self.reload_fault}")
+            found.append(f"reading it again failed: {self.reload_fault}. The earlier version is shown")
         if self.source is not None and self.source.changed_on_disk:
             found.append("files on disk have changed: Ctrl+R reads them again")
         if self.frozen and self.source.program.ended:
@@ -492,7 +506,7 @@ class Model(Opening):
         try:
             if next(folder.glob("*.cl"), None) is not None:
                 kernels = self.engine.take_kernels(folder)
-                kept = self.kept.keep(self.setup, kernels, f"{told(self.setup)}, kernels of {folder.name}")
+                kept = self.kept.keep(self.setup, kernels, folder)
             else:
                 kept = self.kept.keep_stored(str(folder), self.setup.options)
         except (GffeError, OSError) as error:

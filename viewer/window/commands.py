@@ -106,7 +106,7 @@ def register(app: Workspace) -> None:
     add("last", "Last frame", "Playback", "End", playback("end"), opened)
     add("stop", "Stop computing", "Playback", "Ctrl+.", model.stop_computing,
         lambda: opened() or (None if model.stopped or model.showing.is_waiting else "nothing is being computed"),
-        tooltip="Gives the picture up that is being made; again: goes on")  # fmt: skip
+        tooltip="Cancel the current picture. Press again to resume")  # fmt: skip
     add("only_generated", "Only generated frames", "Playback", "Shift+G",
         lambda: setattr(model.playback, "only_generated", not model.playback.only_generated), opened,
         checked=lambda: model.playback.only_generated,
@@ -177,13 +177,19 @@ def _copying(app: Workspace, add, savable) -> None:
     model = app.model
 
     def value():
-        at = model.pointing.pinned or model.pointing.inspection
-        return "" if at is None else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+        at, stale = model.values
+        return "" if at is None or stale else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+
+    def no_numbers():
+        image = model.contents.image(model.view.a)
+        if model.selection.rectangle is None:
+            return "drag with Shift to draw a rectangle"
+        fits = image is not None and image.shape[:2] == model.contents.size[::-1]
+        return None if fits else "only of layers as large as the display"
 
     def numbers():
         image, rectangle = model.contents.image(model.view.a), model.selection.rectangle
-        if rectangle is None or image is None or image.shape[:2] != model.contents.size[::-1]:
-            return "only of layers as large as the display"
+        assert image is not None and rectangle is not None  # as there are numbers
         return copying.numbers_of(image, rectangle)
 
     def copy(text):
@@ -193,9 +199,8 @@ def _copying(app: Workspace, add, savable) -> None:
     add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: copy(value()),
         lambda: None if value() else "point at a pixel, or pick one",
         tooltip="Frame, layer, pixel and value")  # fmt: skip
-    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()),
-        lambda: None if model.selection.rectangle else "drag with Shift to draw a rectangle",
-        tooltip="Of the rectangle, row by row, for a table")  # fmt: skip
+    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()), no_numbers,
+        tooltip="Copy the numbers of the rectangle's pixels row by row, to paste them into a table")  # fmt: skip
     add(
         "copy_picture",
         "Copy the picture",
