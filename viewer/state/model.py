@@ -490,7 +490,7 @@ class Model(Opening):
             found.append(f"reading it again failed: {self.reload_fault}. The earlier version is shown")
         if self.source is not None and self.source.changed_on_disk:
             found.append("files on disk have changed: Ctrl+R reads them again")
-        if self.frozen and self.source.program.ended:
+        if self.frozen and self.program is not None and self.program.ended:
             found.append("the program has ended: L follows the next one of its name")
         return found
 

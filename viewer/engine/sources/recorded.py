@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
@@ -51,7 +52,7 @@ class RecordedSource(Recorded, FrameSource):
         self.has_truth = bool(truths)
 
     def sibling(self):
-        other = super().sibling()
+        other = copy.copy(self)
         other._is_sibling = True
         return other
 

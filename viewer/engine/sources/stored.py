@@ -47,7 +47,7 @@ class StoredSlots:
     def make(self, key: Key, layers: frozenset[str], source: FrameSource, known: Mapping[str, LayerSpec]) -> Frame:
         """Return a slot with those of `layers` that are stored. `source`: of A's frames, whose times count; `known`:
         A's layers. Raises GffeError if there is no such frame."""
-        start, sequence, known = time.perf_counter(), self._sequence, FRAME_LAYERS | known
+        start, sequence, known = time.perf_counter(), self._sequence, {**FRAME_LAYERS, **known}
         if (sequence.width, sequence.height) != (source.width, source.height):
             sizes = f"{sequence.width}×{sequence.height} pixels, expected {source.width}×{source.height}"
             raise GffeError(f"{self.place}: {sizes}")
