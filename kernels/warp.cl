@@ -308,7 +308,8 @@ INLINE void found_in_block(const Fragments from, const float8 source, const int 
     won->exist = won->smooth = ALL_LANES;
 }
 
-/* The fragments that were splatted nearest. A block at the image's border may only be smooth if it is RESTING. */
+/* The fragments that were splatted nearest. A block at the image's border may only be smooth if it is RESTING. A place
+   a whole pixel to the right or down of a fragment has taps three pixels from it. */
 INLINE void found_by_splatting(const Fragments from, const Winners winners, __global const uchar *source_smooth,
                                const int dst, const int count, Found *won) {
     const Uints src = load_some_winners(count, winners.keys, winners.winners, dst);
@@ -321,7 +322,8 @@ INLINE void found_by_splatting(const Fragments from, const Winners winners, __gl
     won->x = x;
     won->y = y;
     won->exist = exist;
-    won->smooth = exist & (smooth != 0) & ((smooth != RESTING) | inner);
+    const Ints has_taps = (x < from.width - 3) & (y < from.height - 3);
+    won->smooth = exist & (smooth != 0) & ((smooth != RESTING) | inner) & has_taps;
 }
 
 /* LANES pixels, but for their color, of a block in which that is exact. */

@@ -215,7 +215,7 @@ def measure(sequence: Path | None, device: str | None) -> None:
     """Record the commands and the memory."""
     from gffe_cl.engine.opencl.device import open_device
 
-    found = dict(counted(open_device(device), [*SCENES, *([str(sequence)] if sequence else [])]))
+    found = dict(counted(open_device(device, profiling=True), [*SCENES, *([str(sequence)] if sequence else [])]))
     (MEASURED / "memory.json").write_text(json.dumps(found, indent=1) + "\n")
 
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import replace
+from types import EllipsisType
 from typing import Any
 
 import pyopencl as cl
@@ -37,6 +38,7 @@ class Outputs:
     def __init__(self, board: Board, stages: Mapping[str, Stage]):
         self._board, self._stages = board, stages
         self.kept: dict[str, Output] = {}
+        self._wanted: set[str] | EllipsisType | None = ...  # not chosen yet
 
     def available(self) -> Iterator[tuple[str, BufferSpec]]:
         """Yield what `Pipeline.outputs` does."""
@@ -70,6 +72,9 @@ class Outputs:
 
     def choose(self, wanted: set[str] | None) -> None:
         """Keep the outputs `wanted` (None: all) from the next frame on, and no others."""
+        if wanted == self._wanted:
+            return
+        self._wanted = wanted if wanted is None else set(wanted)
         self._board.scripts.clear()
         for stage in self._stages.values():
             stage.look_at(wanted)
@@ -78,5 +83,7 @@ class Outputs:
             found.setdefault(stage, []).append(spec)
         for stage, specs in found.items():
             chosen = {spec.name for spec in specs if wanted is None or f"{stage}.{spec.name}" in wanted}
-            if chosen or stage in self.kept:
+            if chosen:
                 self.kept.setdefault(stage, Output(self._stages[stage], specs)).choose(chosen)
+            else:
+                self.kept.pop(stage, None)

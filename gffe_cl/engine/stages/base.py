@@ -159,16 +159,18 @@ class Board:
     ) -> cl.Event | None:
         """Do the work of `stages` on a step, and call `after` with each. What they enqueue depends on the
         `circumstances` alone, besides `turn` and whether there is a previous frame: it is enqueued again while these
-        and the rendered frames' buffers are the same. None: it depends on more. Returns the event with which all work
-        is complete, if there is one already."""
+        are the same. None: it depends on more. Returns the event with which all work is complete, if there is one
+        already."""
         key, script = (), None
         if circumstances is not None:
             key = self.turn, step.slot, step.previous is None, *circumstances
             script = self.scripts.get(key)
-            if script and script.shown is self.shown:
+            if script:
                 self.blocks.held[step.slot] = step.key
+                for launch in script.of_frames:
+                    launch.show(self.shown, self.buffer)
                 return self.commands.repeat(script, step.block(self))
-            script = Script(self.shown)
+            script = Script()
         self.commands.script = script
         try:
             for stage in stages:
@@ -315,10 +317,7 @@ class Stage(Owner):
             if len(self._prepared) == _PREPARED:
                 self._prepared.clear()
             self._prepared[key] = launch
-        if launch.shown is not board.shown:
-            for set_arg, index, owner, own in launch.of_frames:
-                set_arg(index, getattr(getattr(board, owner), own))
-            launch.shown = board.shown
+        launch.show(board.shown, board.buffer)
         for set_arg, index, argument in launch.given:
             set_arg(index, given[argument])
         if launch.block and step is not None:

@@ -37,16 +37,23 @@ class Launch:
     block: tuple[Callable[[int, Any], None], int] | None = None
     shown: object = None
 
+    def show(self, shown: object, buffer: Callable[[str, str], Any]) -> None:
+        """Set the buffers of the rendered frames, which `buffer` gives by owner and name, unless `shown` was set."""
+        if self.shown is not shown:
+            for set_arg, index, owner, name in self.of_frames:
+                set_arg(index, buffer(owner, name))
+            self.shown = shown
+
 
 @dataclass
 class Script:
     """Commands that were enqueued for a step, to be enqueued again for later ones: calls, their arguments, and the
-    names of stage and kernel ("" for work of the host). `blocks` are the arguments that bring the frame block, `shown`
-    the rendered frames (`Board.shown`) whose buffers are arguments."""
+    names of stage and kernel ("" for work of the host). `blocks` are the arguments that bring the frame block,
+    `of_frames` the launches whose arguments change with the rendered frames."""
 
-    shown: object
     calls: list[tuple[Callable[..., Any], tuple, str, str]] = field(default_factory=list)
     blocks: list[tuple[Callable[[int, Any], None], int]] = field(default_factory=list)
+    of_frames: list[Launch] = field(default_factory=list)
 
 
 class Commands:
@@ -89,8 +96,10 @@ class Commands:
         enqueue, name = cl.enqueue_nd_range_kernel, launch.declared.name
         self._do(stage.name, name, enqueue, self._queue, launch.kernel, launch.items, launch.group)
         if self.script:
-            assert not launch.given, f"{stage.name}.{name}: buffers that a launch gives cannot be set again"
+            if launch.given:
+                raise TypeError(f"{stage.name}.{name}: buffers that a launch gives cannot be set again")
             self.script.blocks += [launch.block] if launch.block else []
+            self.script.of_frames += [launch] if launch.of_frames else []
 
     def fill(self, stage: Any, name: str, byte: int, grid: str) -> None:
         """Enqueue setting the first texels of a stage's buffer, as many as `grid` has, to `byte`."""

@@ -13,6 +13,7 @@ from gffe_cl.engine.frame import frame_format, rendered_frame
 from gffe_cl.engine.pipeline import pipeline as pipeline_module
 from gffe_cl.engine.selftest.scene import CUT, FPS, display_camera, frames
 from gffe_cl.engine.stages import intake
+from gffe_cl.engine.stages.commands import Commands
 
 SIZE = (64, 36)
 
@@ -111,6 +112,40 @@ def test_a_frame_of_buffers_costs_the_host_little(device, seen, monkeypatch):
         made = [make(pipeline, frame).numpy("color") for pipeline in (again, anew)]
         np.testing.assert_array_equal(*made)
     assert set_again[8] is set_again[6] and set_again[6] is not set_again[4]
+
+
+def test_commands_are_repeated_for_buffers_of_any_number(device, monkeypatch):
+    """Three sets in turn, as an engine has them, or new ones for each frame: with the bits of arrays."""
+    clip, count = frames(*SIZE, count=11, samples=1), 0
+    options = Options(cut_detection=False, shading_correction=False)
+    pipeline, alone = Pipeline(device, *SIZE, options), Pipeline(device, *SIZE, options)
+    repeat, sets = Commands.repeat, [on(device, clip[k]) for k in range(3)]
+
+    def counted(*arguments):
+        nonlocal count
+        count += 1
+        return repeat(*arguments)
+
+    for k, frame in enumerate(clip):
+        arrays, given = on(device, frame), sets[k % 3]
+        if k < 7:
+            for name in ("color", "depth", "motion"):
+                of, to = getattr(arrays, name), getattr(given, name)
+                if of is not None and to is not None:
+                    cl.enqueue_copy(device.queue, to, of)
+            arrays = replace(frame, color=given.color, depth=given.depth, motion=given.motion)
+        if k == 4:
+            pipeline.keep(["warp.color"])
+            pipeline.keep([])
+        monkeypatch.setattr(Commands, "repeat", counted)
+        pipeline.submit(arrays)
+        made = make(pipeline, frame)
+        monkeypatch.setattr(Commands, "repeat", repeat)
+        alone.submit(frame)
+        expected = make(alone, frame)
+        for name in ("color", "depth", "motion", "filled_by"):
+            assert np.array_equal(made.numpy(name), expected.numpy(name), equal_nan=True), (k, name)
+    assert count >= 10
 
 
 def test_an_unmarked_cut_is_one_in_the_frame_that_is_made_next(device, seen):
