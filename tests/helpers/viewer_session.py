@@ -1,5 +1,6 @@
 """The viewer's model with its engine, without a window."""
 
+import threading
 import time
 from contextlib import contextmanager
 
@@ -51,3 +52,15 @@ class Session:
         """Meanwhile the engine takes nothing up."""
         with self.model.store.news:
             yield
+
+    @contextmanager
+    def values_waiting(self):
+        """Meanwhile the engine makes pictures, but finds no values of pixels."""
+        engine, hold = self.model.engine, threading.Event()
+        inspected = engine._inspected
+        engine._inspected = lambda want: hold.wait(PATIENCE) and inspected(want)
+        try:
+            yield
+        finally:
+            hold.set()
+            del engine._inspected

@@ -558,10 +558,45 @@ def test_program_is_killed(device, program, looking, sockets):
     os.kill(program.pid, signal.SIGKILL)
     program.wait()
     looking.until(lambda: model.frozen and model.settled)
-    assert model.source.count >= 4 and "has ended" in model.messages[-1].text
+    assert model.source.count >= 4 and "has ended" in model.messages[-1].text and "L follows" in model.states[0]
     assert left_behind() == []
     assert channel.Listener("another", "stem").close() is None  # whoever comes next cleans up
     assert list(sockets.iterdir()) == []
+    source = model.source
+    model.follow()
+    looking.until(lambda: "no program is attached as 'game'" in model.messages[-1].text)
+    again = subprocess.Popen([sys.executable, str(PROGRAM), "game", str(program.log)])
+    try:
+        until(lambda: list(sockets.iterdir()), "the next program")
+        model.update(time.perf_counter(), None)
+        assert model.source is source and not model.busy, "the last frames are kept"
+        model.follow()
+        looking.until(lambda: model.follows and model.contents.result is not None)
+    finally:
+        again.kill()
+        again.wait()
+
+
+@pytest.mark.device
+def test_program_that_answers_late(device, program, tmp_path):
+    """The interface goes on meanwhile; whoever opens something else does not lose it."""
+    model = Model(Settings(), save_settings=False)
+    os.kill(program.pid, signal.SIGSTOP)
+    try:
+        start = time.monotonic()
+        model.attach_to(" game ")
+        job = model._attaching
+        assert time.monotonic() - start < 2 and model.busy and not model.messages
+        until(job.running)
+        model.open("corridor")
+        os.kill(program.pid, signal.SIGCONT)
+        assert isinstance(job.result(), RunningProgram)
+        until(lambda: model.update(time.perf_counter(), None) or model.source is not None)
+        assert model.source.name == "corridor" and model.program is None
+        until(lambda: job.result().ended, "that it is left")
+    finally:
+        os.kill(program.pid, signal.SIGCONT)
+        model.close()
 
 
 @pytest.mark.device

@@ -722,6 +722,16 @@ def test_png_faults(tmp_path):
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), noise(2, 2))
 
 
+@pytest.mark.limits
+def test_a_full_disk_keeps_the_old_settings(tmp_path):
+    path = tmp_path / "viewer.json"
+    Settings(theme="light").save(path)
+    with limited(100):
+        warning = Settings(recent=["/" + "x" * 500]).save(path)
+    assert "cannot be saved" in warning and os.listdir(tmp_path) == ["viewer.json"]
+    assert Settings.load(path) == (Settings(theme="light"), None)
+
+
 def layers():
     rng = np.random.default_rng(2)
 

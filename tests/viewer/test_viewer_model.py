@@ -63,11 +63,13 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     model = session.model
     model.pointing.pick((3, 4))
     session.settle()
-    before, taken = model.pointing.story, model.contents.changes
-    model.playback.seek(3)
-    session.until(lambda: model.contents.changes > taken)
-    told = model.pointing.tells(model.contents.result.key)
-    assert model.settled == told, "or the story is still that of the slot before"
+    before, before_values, taken = model.pointing.story, model.pointing.pinned, model.contents.changes
+    assert model.values == (before_values, False)
+    with session.values_waiting():
+        model.playback.seek(3)
+        session.until(lambda: model.contents.changes > taken)
+        assert not model.settled and model.story_is_due, "it is still that of the slot before"
+        assert model.values == (before_values, True)
     model.pointing.hover((7.5, 5.5))
     session.settle()
     assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
@@ -114,21 +116,22 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
     assert model.current and model.frame_text == "generated: frame 1 + 1/2"
     inspected(session, 3, 4)
     assert model.shows_values
-    with session.engine_waiting():
-        model.playback.seek(1)
-        session.model.update(time.perf_counter(), session.canvas)
-        assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
-    session.until(lambda: model.slot == 1)
-    of_slot_1 = model.pointing.inspection.slot == 1  # where both came at once
-    assert model.current and model.shows_values == of_slot_1, "they are still those of slot 3"
+    with session.values_waiting():
+        with session.engine_waiting():
+            model.playback.seek(1)
+            session.model.update(time.perf_counter(), session.canvas)
+            assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
+        session.until(lambda: model.slot == 1)
+        assert model.current and not model.shows_values and model.values[1], "they are still those of slot 3"
     session.until(lambda: model.shows_values)
     model.playback.n = 3
     assert model.frame_text == "generated: frame 0 + 1/2", "which was made with n = 1"
     session.settle()
     inspected(session, 3, 4)
-    model.set("hole_filling", "none")
-    session.until(lambda: model.contents.result.setup == model.setup)
-    assert model.current and not model.shows_values
+    with session.values_waiting():
+        model.set("hole_filling", "none")
+        session.until(lambda: model.contents.result.setup == model.setup)
+        assert model.current and not model.shows_values
 
 
 def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
@@ -151,7 +154,7 @@ def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
 
 def test_while_a_program_is_attached_to_that_is_told(session):
     model = session.model
-    model.program = SimpleNamespace(name="game", close=lambda: None)
+    model.program = SimpleNamespace(name="game", ended=False, close=lambda: None)
     model.notice, model.engine.open_source = "", lambda make: None
     model.follow()
     assert "game" in model.notice
@@ -180,7 +183,7 @@ def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):
         session.until(lambda: model.states)
         model.playback.seek(1)
         session.settle()
-        assert "could not be read again" in model.states[0] and "sequence.json" in model.states[0]
+        assert "reading it again failed: " in model.states[0] and "sequence.json" in model.states[0]
         description.write_text(text)
         model.reload()
         session.until(lambda: not model.states)
@@ -244,13 +247,14 @@ def test_layers_of_another_slot_are_not_on_the_canvas(session):
 
 def test_pictures_of_another_sequence_are_not_on_the_canvas(session, tmp_path):
     model, source = session.model, session.model.source
-    taken = model.contents.changes
+    taken, makers = model.contents.changes, list(model.engine._makers)
     model.open(str(tiny_sequence.write(tmp_path / "second")))
     session.until(lambda: model.engine.source is not source)
     with session.engine_waiting():
         session.frame()
         assert model.source is not source and model.contents.result is None and session.canvas.layers == {}
         assert model.contents.changes > taken  # what was drawn is drawn anew
+        assert makers and all(maker._seeker.pipeline is None for maker in makers), "its memory is free"
     session.settle()
     assert set(session.canvas.layers) == {"final"}
 
@@ -263,10 +267,13 @@ def test_reload_opens_what_is_shown(session, tmp_path):
     model.open(str(tmp_path / "missing"))
     session.until(lambda: any("missing" in message.text for message in model.messages))
     assert model.source.name == "second" and model.settings.recent[0] == str(tmp_path / "second")
+    assert not model.undo.done
+    model.set("levels", 0)
+    session.settle()
     model.reload()
     opened = model.source
     session.until(lambda: model.source is not opened)
-    assert model.source.name == "second"
+    assert model.source.name == "second" and model.undo.done
 
 
 def test_holding_b_has_b_read_back(session):
@@ -665,3 +672,14 @@ def test_a_picture_under_way_is_stopped_and_gone_on_with(session):
     session.settle()
     assert model.slot == 5
     assert model.engine.progress[0] == model.engine.progress[1] > 0
+    with session.engine_waiting():
+        model.set("levels", 0)
+        model.playback.play()
+        session.frame()
+        model.stop_computing()
+        session.frame()
+        assert model.stopped and not model.playback.playing
+        model.playback.scrubbing = True
+        model.playback.seek(2)
+        session.frame()
+        assert not model.stopped and model.store.next().key.slot == 2, "another one is due"

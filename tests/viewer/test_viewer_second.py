@@ -201,13 +201,27 @@ def test_an_ablation_tells_what_a_module_gains(session):
 
 def test_a_row_over_time_is_that_row_of_every_frame(session):
     model = session.model
+    model.playback.seek(3)
     model.pointing.pick((3, 4))
     session.settle()
-    rows, slots = studied(session, model.studies.over_time).picture(model.studies.here)
-    assert slots == range(6) and rows.shape == (6, tiny_sequence.W, 4)
-    model.playback.seek(3)
+    for row in (4, 6):
+        model.pointing.pick((3, row))  # while it is on, and has the row before
+        rows, slots = studied(session, model.studies.over_time).picture(model.studies.here)
+        assert slots == range(6) and rows.shape == (6, tiny_sequence.W, 4)
+        assert list(model.studies.over_time.found) == [3, 4, 5, 0, 1, 2], "as a pipeline makes them"
+        np.testing.assert_array_equal(rows[3], model.contents.image("final")[row])
+    model.show_layer("frame.depth")
     session.settle()
-    np.testing.assert_array_equal(rows[3], model.contents.image("final")[4])
+    found = studied(session, model.studies.over_time).found
+    assert [found[slot] is None for slot in range(6)] == [True, False] * 3, "rendered frames have no such layer"
+    model.store.forget(lambda key: True)  # as where the sequence has grown
+    session.frame()
+    assert not model.studies.over_time.found
+    model.studies.over_time.look()
+    session.frame()
+    for job in (jobs := list(model.studies._jobs.values())):
+        job.cancel()
+    assert studied(session, model.studies.over_time).found.keys() == set(range(6)), jobs
 
 
 def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
@@ -229,6 +243,11 @@ def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
     session.settle()
     assert (session.canvas.layers["B:final"] != model.contents.image("final")).any()
     assert studied(session, model.studies.differing).first.spec.group == "history"
+    run_sequence(Recorded(source, device), tmp_path / "again", device, replace(options, motion=True), [0.5])
+    shutil.rmtree(tmp_path / "out")
+    (tmp_path / "again").rename(tmp_path / "out")
+    session.settle()
+    np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
     model.take_b_from(str(tmp_path / "nothing"))
     session.settle()
     assert "nothing" in model.showing.fault_of_b and model.contents.second is None

@@ -82,6 +82,13 @@ def test_what_is_wanted_is_there_for_as_long_as_it_is_wanted():
     assert store.get(shown) is not None and store.get(passing) is None
     store.want([])
     assert store.get(shown) is None and store.nbytes == 0
+    store = store_of(2)
+    store.want([want(1), want(2)])
+    assert made_by(store) == [1, 2]
+    store.want([passing])
+    assert made_by(store) == [4]
+    store.leave(0)
+    assert 0 < store.nbytes <= store.most / 2, "it takes room as long as it is held"
 
 
 def test_no_answer_is_found_under_another_key():

@@ -19,7 +19,6 @@ import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import NetworkError
-from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.opencl.device import Device
 from .messages import Closing, Failure, Frame, Interrupted, Recipe, Setup
 from .reloading import WATCH_SECONDS, Kernels
@@ -27,7 +26,7 @@ from .slot_maker import SlotMaker, weights_of
 from .sources.attached import AttachedSource, RemoteSlots
 from .sources.opening import open_viewer_device
 from .sources.source import FrameSource
-from .sources.stored import StoredSlots
+from .sources.stored import StoredSlots, version_of
 from .store import Store, Want
 
 _CLOSE_SECONDS = 2.0
@@ -84,7 +83,6 @@ class Engine:
         self._maker_at_work: SlotMaker | None = None
         self._remote: RemoteSlots | None = None  # instead of them, of an attached program
         self._stored: StoredSlots | None = None  # the pictures of a setup that are not computed
-        self._specs: dict[str, LayerSpec] = {}  # layers of the frame that was computed last
         self._opened = 0  # sources
 
     # ---- for the interface ---------------------------------------------------------------------------------
@@ -115,7 +113,8 @@ class Engine:
         """Return everything that slots made with `setup` depend on now. May be called from any thread."""
         flight = self.source.flight if self.source is not None else 0
         kernels = setup.kernels or (self._kernels.identity if self._kernels is not None else "")
-        return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, weights_of(setup.options))
+        version = version_of(setup.place) if setup.place else weights_of(setup.options)
+        return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, version)
 
     def open_source(self, make: Callable[[Device], FrameSource]) -> None:
         """Open a source with `make` on the thread. Then it is `source`, and nothing of the one before is made any more.
@@ -135,7 +134,7 @@ class Engine:
     @property
     def nbytes(self) -> int:
         """Bytes that pipelines and sources hold, mostly on the device."""
-        return sum(maker.nbytes for maker in tuple(self._makers))
+        return sum(maker.nbytes + maker.source.nbytes for maker in tuple(self._makers))
 
     @property
     def progress(self) -> tuple[int, int]:
@@ -212,6 +211,8 @@ class Engine:
         if self.source:
             self.source.close()
         self._maker_at_work = None
+        for maker in self._makers:
+            maker.drop()
         self._makers, self._remote, self._stored, self.cuts = [], None, None, {}
         if isinstance(source, AttachedSource):
             self._remote = RemoteSlots(source, self._check_while_waiting)
@@ -229,7 +230,9 @@ class Engine:
         before = self.source.count
         if self.source.grow():
             self.wake()
-            del self._makers[1:]  # their sources are not the one that has grown
+            for maker in self._makers[1:]:  # their sources are not the one that has grown
+                maker.drop()
+            del self._makers[1:]
             self.store.forget(lambda key: key.slot >= (before - 1) * (key.recipe.setup.n + 1))
 
     def _do_kernels(self) -> None:
@@ -262,7 +265,6 @@ class Engine:
         if want.key.recipe.setup.place:
             return self._read(want)
         frame = (self._remote or self._maker(want)).make(want.key, want.layers)
-        self._specs = frame.specs
         known = self.cuts.get(want.key.recipe, frozenset())
         if not frame.cuts <= known:
             self.cuts[want.key.recipe] = known | frame.cuts
@@ -270,9 +272,11 @@ class Engine:
 
     def _read(self, want: Want) -> Frame:
         assert self.source is not None
-        if self._stored is None or self._stored.place != want.key.recipe.setup.place:
-            self._stored = StoredSlots(want.key.recipe.setup.place)
-        return self._stored.make(want.key, want.layers, self.source, self._specs)
+        stored, place, version = self._stored, want.key.recipe.setup.place, want.key.recipe.weights
+        if stored is None or (stored.place, stored.version) != (place, version):
+            self._stored = stored = StoredSlots(place, version)
+        beside = self.store.beside(want)
+        return stored.make(want.key, want.layers, self.source, {} if beside is None else beside.specs)
 
     def _inspected(self, want: Want):
         assert want.pixel is not None

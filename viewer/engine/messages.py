@@ -29,7 +29,7 @@ class Setup:
 @dataclass(frozen=True)
 class Recipe:
     """Dependencies of a source's slots: how often it was opened, flown poses, the setup, version of kernels and of
-    weights."""
+    weights. Stored pictures have a version instead of `weights`."""
 
     source: int
     flight: int

@@ -218,7 +218,7 @@ class SlotMaker:
     used_at : int
         The number of slots made so far by all makers when this one was used last.
     nbytes : int
-        What its pipeline has on the device, and its source.
+        What its pipeline has on the device.
     """
 
     _used = itertools.count(1)
@@ -233,6 +233,11 @@ class SlotMaker:
     def progress(self) -> tuple[int, int]:
         """Rendered frames that are submitted for the slot under way, and all that are needed."""
         return self._seeker.progress
+
+    def drop(self) -> None:
+        """Free the pipeline, for good."""
+        self._seeker.drop()
+        self.nbytes = 0
 
     def holds(self, key: Key) -> bool:
         """Return whether the pipeline's buffers are those of this slot."""
@@ -284,7 +289,7 @@ class SlotMaker:
             seeker.truth = truth = self._truth(k, alpha, notes)
         if truth is not None and names.FOCUS_TRUTH in wanted:
             seeker.find_focus(_rgba(truth))
-        self.nbytes = sum(memory(pipeline).values()) + source.nbytes
+        self.nbytes = sum(memory(pipeline).values())
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
         readback_ms = (time.perf_counter() - reading) * 1e3

@@ -58,9 +58,9 @@ class Playhead:
 class Store:
     """Frames by key and layers. The interface calls `want` and `get`, the engine's thread `next` and `put`.
 
-    At most `most` bytes are kept, less `others`. Where room is needed, recipes that are not in use go first, the one
-    used longest ago first of all; then, of those in use, what will be shown last from the playhead on. A frame that
-    would itself have to go is not kept.
+    At most `most` bytes are kept, less `others` and the frames that are only held. Where room is needed, recipes that
+    are not in use go first, the one used longest ago first of all; then, of those in use, what will be shown last from
+    the playhead on. A frame that would itself have to go is not kept.
 
     Attributes
     ----------
@@ -68,6 +68,8 @@ class Store:
         Bytes: that may be held, that are kept here, and that are held elsewhere: by pipelines, sources and textures.
     changes : int
         How often what is there has changed.
+    outdated : int
+        How often slots were dropped because they are other ones now.
     source : int
         The source, by `Recipe.source`, whose slots are made.
     news : threading.Condition
@@ -76,6 +78,7 @@ class Store:
 
     def __init__(self, most: int = CACHE_MIB << 20):
         self.most, self.nbytes, self.others, self.changes, self.source = most, 0, 0, 0, 0
+        self.outdated = 0
         self.news = threading.Condition()
         self._wants: tuple[Want, ...] = ()
         self._held: dict[Subject, Frame | Inspection | Failure] = {}  # what was made of them, by subject
@@ -138,7 +141,9 @@ class Store:
 
     @property
     def _room(self) -> int:
-        return max(self.most - self.others, 0)
+        held = (frame for frame in self._held.values() if isinstance(frame, Frame))
+        only_held = sum(frame.nbytes for frame in held if self._kept_frame(frame.key, frame.layers) is None)
+        return max(self.most - self.others - only_held, 0)
 
     # ---- the engine's side -----------------------------------------------------------------------------------
 
@@ -152,6 +157,14 @@ class Store:
         with self.news:
             place = self._wants.index(want) if want in self._wants else 0
             return {other.key for other in self._wants[:place]}
+
+    def beside(self, want: Want) -> Frame | None:
+        """Return the computed frame of the same slot that is there for the most urgent want; None if there is none."""
+        with self.news:
+            others = [other for other in self._wants if other.key.slot == want.key.slot and other.pixel is None]
+            computed = (other for other in others if not other.key.recipe.setup.place)
+            found = (self._held.get(other.subject) or self._find(other) for other in computed)
+            return next((made for made in found if isinstance(made, Frame)), None)
 
     def put(self, want: Want, made: Frame | Inspection | Failure) -> None:
         """Store what was made of a want, under its key and no other. A frame is kept together with the layers that are
@@ -183,6 +196,7 @@ class Store:
                     self._drop(key)
             self._held = {subject: made for subject, made in self._held.items() if not outdated(subject[0])}
             self.changes += 1
+            self.outdated += 1
             self.news.notify_all()
 
     # ---- what is kept ----------------------------------------------------------------------------------------
@@ -190,17 +204,17 @@ class Store:
     def _is_missing(self, want: Want) -> bool:
         if want.key.recipe.source != self.source or want.subject in self._held:
             return False
-        return want.pixel is not None or not self._has(want)
+        return want.pixel is not None or self._kept_frame(want.key, want.layers) is None
 
-    def _has(self, want: Want) -> bool:
-        kept = self._kept.get(want.key.recipe, {}).get(want.key.slot)
-        return kept is not None and want.layers <= kept.layers
+    def _kept_frame(self, key: Key, layers: frozenset[str]) -> Frame | None:
+        kept = self._kept.get(key.recipe, {}).get(key.slot)
+        return kept if kept is not None and layers <= kept.layers else None
 
     def _find(self, want: Want) -> Frame | None:
-        if not self._has(want):
+        frame = self._kept_frame(want.key, want.layers)
+        if frame is None:
             return None
         self._kept.move_to_end(want.key.recipe)
-        frame = self._kept[want.key.recipe][want.key.slot]
         images = {name: frame.images[name] for name in want.layers if name in frame.images}
         return replace(frame, layers=want.layers, images=images)
 

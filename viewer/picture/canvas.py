@@ -176,16 +176,20 @@ class Canvas:
         """Draw `view` at `size` (width, height); returns RGBA8, opaque, first row on top. `target` distinguishes
         pictures that exist at the same time."""
         framebuffer = self._target(target, size)
-        if self._is_due(target, replace(view), size):
+        if self._is_due(target, made := (replace(view), size, self._changes)):
             with self.ctx.scope(framebuffer, moderngl.NOTHING):
                 framebuffer.clear(*view.background, 1.0)
                 self._draw(view, (0, 0), framebuffer)
+            self._drawn[target] = made
         return self._texture(framebuffer)
 
-    def _is_due(self, target: str, *what: object) -> bool:
-        """Return whether drawing this into the target would change what is there."""
-        before, self._drawn[target] = self._drawn.get(target), (*what, self._changes)
-        return before != self._drawn[target]
+    def _is_due(self, target: str, made: tuple) -> bool:
+        """Return whether drawing this into the target would change what is there, which is unknown from then on until
+        `_drawn` has it."""
+        if self._drawn.get(target) == made:
+            return False
+        self._drawn.pop(target, None)
+        return True
 
     def draw_into(
         self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size, clips: Iterable[Rectangle]
@@ -212,7 +216,7 @@ class Canvas:
         Returns the picture, and where which layer is.
         """
         framebuffer = self._target("overview", size)
-        if not self._is_due("overview", tuple(tiles), size, caption, gap, background):
+        if not self._is_due("overview", made := (tuple(tiles), size, caption, gap, background, self._changes)):
             return self._texture(framebuffer), self._tiles
         places = _grid(len(tiles), framebuffer.size, self.frame.display_size, caption, gap)
         self._tiles = tuple(Tile(name, *place) for (name, _), place in zip(tiles, places, strict=True))
@@ -224,6 +228,7 @@ class Canvas:
                 framebuffer.viewport = (tile.x, tile.y, tile.width, tile.height)
                 self._draw(view, (tile.x, tile.y), framebuffer)
             framebuffer.viewport = (0, 0, *framebuffer.size)
+        self._drawn["overview"] = made
         return self._texture(framebuffer), self._tiles
 
     @staticmethod

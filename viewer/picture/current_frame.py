@@ -189,6 +189,11 @@ class Showing:
                 self._take(due)
         return self._contents.changes != changes
 
+    def skip(self) -> Picture | None:
+        """Await the picture that is due by now instead of another one, and return it."""
+        self.awaited = self._due
+        return self.awaited
+
     @property
     def wants(self) -> list[Want]:
         """Parts of the awaited picture to make."""

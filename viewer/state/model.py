@@ -13,7 +13,7 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import moved
-from gffe_cl.engine.inspection.explain.pixel_explain_types import Link
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Link
 from gffe_cl.engine.options import Options
 from ..engine.doctor_worker import Doctor
 from ..engine.figures import Figures, Measurements
@@ -111,7 +111,6 @@ class Model(Opening):
     def opened(self, source: FrameSource) -> None:
         self.contents.open(source)
         self.parameters.open(source)
-        self.undo.forget()
         self.notice, self.reload_fault, self._target = "", "", source.target
         for part in (
             self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk, self.selection,
@@ -131,10 +130,12 @@ class Model(Opening):
             self.timings = Timings()
         self.comparison.drop_missing()
         self.framing.due = not self.keep_place
-        self.keep_place = False
         if self.frozen:
             self.playback.n = source.generated
             self.playback.end()
+        if not self.keep_place:
+            self.undo.forget()
+        self.keep_place = False
         if source.target and not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
 
@@ -148,7 +149,8 @@ class Model(Opening):
             self.preview = preview
             self.screen.preview(preview)
         self.undo.update(now)
-        self._attach_again(now)
+        if self.saving.work is None:  # which would be given up
+            self._take_attached()
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -166,7 +168,7 @@ class Model(Opening):
             ready = self.playback.slot
         due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
         self._take_values()
-        if self.showing.update(due, self._passes, self.screen.ready or result is None):
+        if self.showing.update(due, self._passes and not self.stopped, self.screen.ready or result is None):
             self._shown()
         if self.follows and self.showing.shows_due:
             self.source.flight += 1  # another frame is awaited from now on
@@ -238,8 +240,8 @@ class Model(Opening):
         b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
         here = Here(
             self.slot, a, b, tuple(self.contents.layers), self.view.a, self.pointing.picked,
-            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.engine.recipe,
-            self.contents.frame_info,
+            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.follows,
+            self.engine.recipe, self.contents.frame_info,
         )  # fmt: skip
         wants += self.studies.update(here, idle and result is not None)
         if awaited is not None and result is not None:
@@ -384,8 +386,13 @@ class Model(Opening):
         return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
     def stop_computing(self) -> None:
-        """Give up the picture that is being made, until another one is due; a second call goes on with it."""
-        self._stopped = None if self.stopped else self.showing.awaited
+        """Give up the picture that is being made, and playing, until another one is due; a second call goes on with
+        it."""
+        if self.stopped:
+            self._stopped = None
+            return
+        self.playback.pause()
+        self._stopped = self.showing.skip()
 
     @property
     def stopped(self) -> bool:
@@ -410,7 +417,8 @@ class Model(Opening):
     @property
     def busy(self) -> bool:
         """Whether the engine works on anything that the picture waits for, or that was asked for."""
-        return self.engine.busy or (self.showing.is_waiting and not self.stopped)
+        waits = self.showing.is_waiting and not self.stopped
+        return self.engine.busy or waits or self._attaching is not None
 
     @property
     def settled(self) -> bool:
@@ -456,6 +464,14 @@ class Model(Opening):
         return result is None or not (self.follows or self.pointing.tells(result.key))
 
     @property
+    def values(self) -> tuple[Inspection | None, bool]:
+        """Return the values of the picked pixel, else of the one under the pointer; and whether they are still those of
+        another picture."""
+        if self.pointing.picked is not None:
+            return self.pointing.pinned, not self.current or self.story_is_due
+        return self.pointing.inspection, not (self.current and self.shows_values)
+
+    @property
     def builds(self) -> tuple[str, str]:
         """Return which kernels the displayed frames of A and B were made with, where these differ; else empty texts."""
         shown = self.contents.result, self.contents.second
@@ -471,9 +487,11 @@ class Model(Opening):
         if self.engine.build_error:
             found.append(f"kernels on disk do not build: build {built} is shown")
         if self.reload_fault:
-            found.append(f"as it was before it could not be read again: {self.reload_fault}")
+            found.append(f"reading it again failed: {self.reload_fault}. The earlier version is shown")
         if self.source is not None and self.source.changed_on_disk:
             found.append("files on disk have changed: Ctrl+R reads them again")
+        if self.frozen and self.program is not None and self.program.ended:
+            found.append("the program has ended: L follows the next one of its name")
         return found
 
     def keep_as_b(self) -> None:
@@ -488,7 +506,7 @@ class Model(Opening):
         try:
             if next(folder.glob("*.cl"), None) is not None:
                 kernels = self.engine.take_kernels(folder)
-                kept = self.kept.keep(self.setup, kernels, f"{told(self.setup)}, kernels of {folder.name}")
+                kept = self.kept.keep(self.setup, kernels, folder)
             else:
                 kept = self.kept.keep_stored(str(folder), self.setup.options)
         except (GffeError, OSError) as error:
@@ -612,6 +630,8 @@ class Model(Opening):
         if self._closed:
             return
         self._closed = True
+        self._stop_attaching()
+        self._background.close()
         self.saving.close()
         for part in (
             self.comparison, self.regions, self.invalid, self.histogram, self.worst, self.selection, self.measured,

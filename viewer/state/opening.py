@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
-from contextlib import suppress
+from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
+from ..engine.background import Background
 from ..engine.engine import Engine, open_viewer_device
 from ..engine.sources.attached import AttachedSource, FrozenSource
 from ..engine.sources.opening import ScenePlan, make_source
@@ -18,8 +19,6 @@ from ..picture.current_frame import Contents
 from .captions import Message
 from .parameters import Parameters
 from .playback import Playback
-
-_LOOK_FOR_PROGRAM = 2.0  # seconds between looks for a program that has ended
 
 
 class Opening:
@@ -55,7 +54,8 @@ class Opening:
         self.failure: str | None = None  # why the requested picture is not there
         self.notice = self.reload_fault = self._target = ""
         self.keep_place = False
-        self._awaits_program, self._looked_for_program = False, 0.0  # which was followed when it ended
+        self._background = Background("attach")
+        self._attaching: Future[RunningProgram] | None = None  # the program to follow once it answers
         self.messages: list[Message] = []
 
     @property
@@ -66,6 +66,7 @@ class Opening:
     def open(self, target: str) -> None:
         """Open a folder with a sequence, or the built-in scene of that name, in the background; `update` notices when
         it is open."""
+        self._stop_attaching()
         self.failure = None
         self.notice = f"opening {target} …"
         self.previewer = preview_of(target) if self.source is None else None
@@ -74,27 +75,31 @@ class Opening:
         )
         self.engine.open_source(make)
 
-    def attach_to(self, name: str) -> None:
-        """Follow the program attached as `name`, if there is one; else tell why not."""
-        before = self.program
-        try:
-            self.attach(name.strip())
-        except GffeError as error:
-            self.say(str(error), error=True)
+    def attach_to(self, name: str, frames: int = FRAMES) -> None:
+        """Look for the program attached as `name` in the background; `update` follows it once it answers, or tells why
+        not."""
+        self._stop_attaching()
+        self._attaching = self._background.run(RunningProgram, name.strip(), frames)
+
+    def _take_attached(self) -> None:
+        """Follow the program that was looked for, if it has answered."""
+        job = self._attaching
+        if job is None or not job.done():
             return
+        self._attaching = None
+        if (error := job.exception()) is not None:
+            self.say(str(error) if isinstance(error, GffeError) else f"{type(error).__name__}: {error}", error=True)
+            return
+        before, self.program = self.program, job.result()
+        self.follow()
         if before is not None:
             before.close()
 
-    def _attach_again(self, now: float) -> None:
-        """Follow a program that was followed when it ended, once it runs again."""
-        ended = self.program is not None and self.program.ended
-        if self._awaits_program and ended and now - self._looked_for_program > _LOOK_FOR_PROGRAM:
-            self._looked_for_program = now
-            assert self.program is not None  # it has ended
-            with suppress(GffeError):
-                self.attach(self.program.name, self.program.frames)
-                self._awaits_program = False
-                self.say(f"attached again to '{self.program.name}'")
+    def _stop_attaching(self) -> None:
+        """Do without the program that is looked for."""
+        job, self._attaching = self._attaching, None
+        if job is not None and not job.cancel():
+            job.add_done_callback(_close_program)
 
     def attach(self, name: str, frames: int = FRAMES) -> None:
         """Follow the running program attached as `name`, which keeps its last `frames` rendered frames. Raises
@@ -103,9 +108,13 @@ class Opening:
         self.follow()
 
     def follow(self) -> None:
-        """Show the program live, with its pipeline's options."""
+        """Show the program live, with its pipeline's options. If it has ended, look for another one of its name."""
         program = self.program
         assert program is not None  # as `attach` was called
+        if program.ended:
+            self.attach_to(program.name, program.frames)
+            return
+        self._stop_attaching()
         self.notice = f"attaching to {program.name} …"
         self.engine.open_source(lambda device: AttachedSource(program))
 
@@ -113,6 +122,7 @@ class Opening:
         """Show the program's last rendered frames as they are now."""
         program = self.program
         assert program is not None
+        self._stop_attaching()
         self.engine.open_source(lambda device: FrozenSource(program, device))
 
     @property
@@ -140,7 +150,6 @@ class Opening:
         ended."""
         if self.follows and (program := self.program) is not None:
             if program.ended:
-                self._awaits_program = True
                 self.freeze()
             self.parameters.take(program.options, None)
             self.source.flight += 1
@@ -163,3 +172,9 @@ class Opening:
         """Take all messages away that stand over the picture."""
         for message in self.messages:
             message.dismissed = True
+
+
+def _close_program(job: Future[RunningProgram]) -> None:
+    """Close a program that has answered in vain."""
+    if job.exception() is None:
+        job.result().close()

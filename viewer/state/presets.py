@@ -22,7 +22,7 @@ _LONGEST = 60  # letters of a name
 class Kept:
     """Named settings: modules, parameters, network and rendering window. `kernels`: a build that was in use since the
     viewer was started; empty: the newest. `weights`: identifies the network's weights. `place`: where pictures are
-    stored that are shown instead."""
+    stored that are shown instead. `foreign`: the kernels are from another folder."""
 
     name: str
     options: Options
@@ -30,6 +30,7 @@ class Kept:
     kernels: str = ""
     weights: str = ""
     place: str = ""
+    foreign: bool = False
 
     def setup(self, n: int) -> Setup:
         """Return the setup of these settings for `n` generated frames per rendered one, which is a matter of
@@ -81,18 +82,22 @@ class KeptSettings:
         self.all: list[Kept] = []
         self.b: Kept | None = None
 
-    def keep(self, setup: Setup, kernels: str, name: str = "") -> Kept:
-        """Keep the present settings as B, and return them. Equal settings under another name get that name."""
-        made = Kept(name or self._unused(setup), setup.options, setup.window, kernels, weights_of(setup.options))
-        self.all = [kept for kept in self.all if replace(kept, name=made.name) != made and kept.name != made.name]
-        self.all = [made, *self.all][:_MOST]
-        self.b = made
-        return made
+    def keep(self, setup: Setup, kernels: str, folder: Path | None = None) -> Kept:
+        """Keep the present settings as B, and return them. `folder`: where the kernels are from, if they are not the
+        viewer's own."""
+        stem = told(setup) if folder is None else f"{told(setup)}, kernels of {printable(folder.name)}"
+        weights, foreign = weights_of(setup.options), folder is not None
+        return self._keep(Kept(stem, setup.options, setup.window, kernels, weights, foreign=foreign))
 
     def keep_stored(self, place: str, options: Options) -> Kept:
         """Make pictures that are stored at `place` B, and return it. `options`: of A."""
-        made = Kept(printable(Path(place).name)[:_LONGEST], options, None, "", weights_of(options), place)
-        self.all = [made, *(kept for kept in self.all if kept.name != made.name)][:_MOST]
+        self.all = [kept for kept in self.all if kept.place != place]
+        return self._keep(Kept(printable(Path(place).name), options, None, "", weights_of(options), place))
+
+    def _keep(self, made: Kept) -> Kept:
+        """Make this B, by an unused name that begins with its own, instead of equal ones."""
+        made = replace(made, name=self._unused(made.name[: _LONGEST - 5].rstrip(" ,")))
+        self.all = [made, *(kept for kept in self.all if replace(kept, name=made.name) != made)][:_MOST]
         self.b = made
         return made
 
@@ -115,17 +120,16 @@ class KeptSettings:
             self.b = self.all[0] if self.all else None
 
     def preferences(self) -> list[dict[str, Any]]:
-        """Return all kept settings as plain JSON; stored pictures are none."""
-        return [kept.to_json() for kept in self.all if not kept.place]
+        """Return all kept settings as plain JSON, without stored pictures and kernels of other folders."""
+        return [kept.to_json() for kept in self.all if not (kept.place or kept.foreign)]
 
     def restore(self, saved: list) -> None:
         """Restore the result of `preferences` without damaged entries. None of them is B."""
         found = filter(None, map(Kept.from_json, saved))
         self.all = list({kept.name: kept for kept in found}.values())[:_MOST]
 
-    def _unused(self, setup: Setup) -> str:
-        """Return an unused name that lists the differences from the defaults."""
-        stem = told(setup)
+    def _unused(self, stem: str) -> str:
+        """Return an unused name."""
         taken, number = {kept.name for kept in self.all}, 1
         while (name := stem if number == 1 else f"{stem} ({number})") in taken:
             number += 1

@@ -24,7 +24,7 @@ from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
 from ..picture.displays import FrameInfo
 from .parameters import ALWAYS, UPSCALING
-from .survey import Side
+from .survey import NO_B, Side
 
 _PATIENCE = 4  # frames of the interface that a study goes on after it was shown
 _AHEAD = 2  # answers that are made at once
@@ -50,6 +50,8 @@ class Here:
     slots : range
         Between the in and the out point.
     exposure : float
+    follows : bool
+        A running program is displayed live.
     recipe, info : callable
         Return the recipe of a setup, and the frame of reference of a frame's layers.
     """
@@ -62,6 +64,7 @@ class Here:
     pixel: tuple[int, int] | None
     slots: range
     exposure: float
+    follows: bool
     recipe: Callable[[Setup], Recipe]
     info: Callable[[Frame], FrameInfo]
 
@@ -101,7 +104,15 @@ class Study:
 
     def why_not(self, here: Here) -> str | None:
         """Return why there is no answer here; None if there is one."""
+        return "freeze the running program first" if here.follows else self._lacks(here)
+
+    def _lacks(self, here: Here) -> str | None:
+        """Return why there is no answer for a source that is not followed."""
         raise NotImplementedError
+
+    def subject(self, here: Here) -> Hashable:
+        """Return what `find` reads of `here` besides what follows from the wants."""
+        return None
 
     def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
         """Return the frames that each part needs, in order."""
@@ -120,8 +131,9 @@ class Studies:
         self.differing, self.ablation, self.over_time = Differing(), Ablation(), OverTime()
         self.all: tuple[Study, ...] = (self.differing, self.ablation, self.over_time)
         self._jobs: dict[tuple, Future] = {}
-        self._known: dict[tuple, Any] = {}  # by study and wants
+        self._known: dict[tuple, Any] = {}  # by study, subject and wants
         self._asked: dict[Study, tuple[Here, dict]] = {}  # what each wants, and where
+        self._outdated = store.outdated  # when answers were dropped last
         self.here: Here | None = None
 
     @property
@@ -130,23 +142,29 @@ class Studies:
 
     def forget(self) -> None:
         """Drop everything after a change of the source."""
+        for job in self._jobs.values():
+            job.cancel()
         self._jobs, self._known, self._asked, self.here = {}, {}, {}, None
+        self._outdated = self._store.outdated
         for study in self.all:
             study.found, study.parts = {}, 0
 
     def update(self, here: Here, may_run: bool) -> list[Want]:
         """Take what has been found, and return the frames that are missing. Call once per frame of the interface;
         `may_run`: whether there is nothing else to do."""
+        if self._outdated != self._store.outdated:
+            self.forget()
         self.here, wants, keys = here, [], set()
         for study in self.all:
             study.pass_time()
             parts = self._parts(study, here)
             found = {}
             for name, needed in parts.items():
-                keys.add(key := (study, needed))
-                if (made := self._answer(study, here, name, needed, may_run)) is not None:
-                    found[name] = made
-                elif may_run and key not in self._jobs and len(wants) < _AHEAD:
+                keys.add(key := (study, study.subject(here), needed))
+                self._advance(key, here, name, may_run)
+                if key in self._known:
+                    found[name] = self._known[key]
+                elif may_run and key not in self._jobs and len(self._jobs) + len(wants) < _AHEAD:
                     wants += needed
             study.found, study.parts = found, len(parts)
         for key in [key for key in self._jobs if key not in keys]:
@@ -161,12 +179,12 @@ class Studies:
             self._asked[study] = asked = here, study.wanted(here)
         return asked[1]
 
-    def _answer(self, study: Study, here: Here, name: Hashable, needed: tuple[Want, ...], may_run: bool) -> Any:
-        key = study, needed
+    def _advance(self, key: tuple, here: Here, name: Hashable, may_run: bool) -> None:
+        """Start a part of a study that has its frames, or take its answer."""
+        (study, _, needed), job = key, self._jobs.get(key)
         if key in self._known:
-            return self._known[key]
-        job = self._jobs.get(key)
-        if job is None and may_run:
+            return
+        if job is None and may_run and len(self._jobs) < _AHEAD:
             frames = [self._store.get(want) for want in needed]
             failed = next((frame for frame in frames if isinstance(frame, Failure)), None)
             if failed is not None:
@@ -174,10 +192,10 @@ class Studies:
             elif all(isinstance(frame, Frame) for frame in frames):
                 self._jobs[key] = self._background.run(study.find, here, name, *frames)
         elif job is not None and job.done():
-            error = None if job.cancelled() else job.exception()
-            self._known[key] = Failure(f"{type(error).__name__}: {error}") if error else job.result()
             del self._jobs[key]
-        return self._known.get(key)
+            if not job.cancelled():
+                error = job.exception()
+                self._known[key] = Failure(f"{type(error).__name__}: {error}") if error else job.result()
 
 
 # ---- layers that differ ----------------------------------------------------------------------------------------
@@ -202,8 +220,8 @@ class Difference:
 class Differing(Study):
     """Differences of every layer of this frame between A's and B's settings, in the order of the stages."""
 
-    def why_not(self, here: Here) -> str | None:
-        return "B is not other settings (K keeps them)" if here.b is None else None
+    def _lacks(self, here: Here) -> str | None:
+        return NO_B if here.b is None else None
 
     def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
         assert here.b is not None  # or it has no answer
@@ -275,7 +293,7 @@ def difference(spec: LayerSpec, a: Frame, b: Frame) -> Difference | None:
 class Ablation(Study):
     """Gain of each module in this frame, dB of PSNR, over the whole image and by region of A."""
 
-    def why_not(self, here: Here) -> str | None:
+    def _lacks(self, here: Here) -> str | None:
         if here.slot % (here.a.setup.n + 1) == 0:
             return "a rendered frame: modules work on generated ones"
         if all(spec.name != names.TRUTH for spec in here.layers):
@@ -327,7 +345,7 @@ def without(setup: Setup, module: str) -> Setup:
 class OverTime(Study):
     """The row of the displayed layer through the picked pixel, in every slot between the in and the out point."""
 
-    def why_not(self, here: Here) -> str | None:
+    def _lacks(self, here: Here) -> str | None:
         spec = next((spec for spec in here.layers if spec.name == here.shown), None)
         if here.pixel is None or spec is None:
             return "click a pixel of the picture: its row is shown in every frame"
@@ -337,8 +355,11 @@ class OverTime(Study):
         first = max(min(here.slot - _MOST_SLOTS // 2, here.slots.stop - _MOST_SLOTS), here.slots.start)
         slots = [slot for slot in here.slots if first <= slot < first + _MOST_SLOTS]
         layers = frozenset({here.shown})
-        near = sorted(slots, key=lambda slot: abs(slot - here.slot))
-        return {slot: (Want(Key(here.a.recipe, slot), layers, keep=False),) for slot in near}
+        onward = sorted(slots, key=lambda slot: (slot < here.slot, slot))  # a pipeline goes on, and begins anew once
+        return {slot: (Want(Key(here.a.recipe, slot), layers, keep=False),) for slot in onward}
+
+    def subject(self, here: Here) -> Hashable:
+        return here.pixel and here.pixel[1]
 
     def find(self, here: Here, name: Any, *frames: Frame) -> np.ndarray | None:
         """Return (W, channels?) of the row, W being the width of the layer's part that is displayed."""

@@ -13,6 +13,7 @@ from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
 from .playback import Playback
 
+NO_B = "B is a layer. K keeps settings as B"
 _AHEAD = 3  # slots that are wanted, or wait to be measured, at once
 _HISTORY = 2  # rendered frames before the one that a slot is made of
 
@@ -182,7 +183,7 @@ class Survey:
     def why_not(self, difference: bool = False) -> str | None:
         """Return why no frame can be found; None where one can be, or nothing is known yet."""
         if difference and self.b is None:
-            return "B is not other settings (K keeps them)"
+            return NO_B
         quantity = QUANTITIES[self.quantity]
         if self.on and self.busy:
             return None

@@ -70,10 +70,11 @@ def register(app: Workspace) -> None:
         checked=lambda: model.settings.legends)  # fmt: skip
     add("attach", "Attach …", "Program", "",
         lambda: app.open_path.open(model.attach_to, "Name of a running program that has called gffe_cl.attach"),
-        tooltip="When a followed program ends, the viewer attaches again to the next one of its name")  # fmt: skip
+        tooltip="Look for a running program in the background, and follow it")  # fmt: skip
     add("follow", "Follow the program", "Program", "L", lambda: model.freeze() if model.follows else model.follow(),
         attached, checked=lambda: model.follows,
-        tooltip="On: its frames as they come. Off: its last rendered frames, frozen")  # fmt: skip
+        tooltip="On: its frames as they come, also of the next program of its name. "
+        "Off: its last rendered frames, frozen")  # fmt: skip
     add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
         lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
         tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
@@ -105,7 +106,7 @@ def register(app: Workspace) -> None:
     add("last", "Last frame", "Playback", "End", playback("end"), opened)
     add("stop", "Stop computing", "Playback", "Ctrl+.", model.stop_computing,
         lambda: opened() or (None if model.stopped or model.showing.is_waiting else "nothing is being computed"),
-        tooltip="Gives the picture up that is being made; again: goes on")  # fmt: skip
+        tooltip="Cancel the current picture. Press again to resume")  # fmt: skip
     add("only_generated", "Only generated frames", "Playback", "Shift+G",
         lambda: setattr(model.playback, "only_generated", not model.playback.only_generated), opened,
         checked=lambda: model.playback.only_generated,
@@ -176,13 +177,19 @@ def _copying(app: Workspace, add, savable) -> None:
     model = app.model
 
     def value():
-        at = model.pointing.pinned or model.pointing.inspection
-        return "" if at is None else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+        at, stale = model.values
+        return "" if at is None or stale else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+
+    def no_numbers():
+        image = model.contents.image(model.view.a)
+        if model.selection.rectangle is None:
+            return "drag with Shift to draw a rectangle"
+        fits = image is not None and image.shape[:2] == model.contents.size[::-1]
+        return None if fits else "only of layers as large as the display"
 
     def numbers():
         image, rectangle = model.contents.image(model.view.a), model.selection.rectangle
-        if rectangle is None or image is None or image.shape[:2] != model.contents.size[::-1]:
-            return "only of layers as large as the display"
+        assert image is not None and rectangle is not None  # as there are numbers
         return copying.numbers_of(image, rectangle)
 
     def copy(text):
@@ -192,9 +199,8 @@ def _copying(app: Workspace, add, savable) -> None:
     add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: copy(value()),
         lambda: None if value() else "point at a pixel, or pick one",
         tooltip="Frame, layer, pixel and value")  # fmt: skip
-    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()),
-        lambda: None if model.selection.rectangle else "drag with Shift to draw a rectangle",
-        tooltip="Of the rectangle, row by row, for a table")  # fmt: skip
+    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()), no_numbers,
+        tooltip="Copy the numbers of the rectangle's pixels row by row, to paste them into a table")  # fmt: skip
     add(
         "copy_picture",
         "Copy the picture",

@@ -27,7 +27,7 @@ def draw(app: Interface) -> None:
     imgui.end_disabled()
     widgets.tooltip("Show the difference of the first layer that differs")
     imgui.same_line()
-    widgets.toggle("equal ones, too", app.lists_equal, lambda on: setattr(app, "lists_equal", on))
+    widgets.toggle("show equal layers", app.lists_equal, lambda on: setattr(app, "lists_equal", on))
     counted = sum(one.differs for one in study.all)
     done = f"{len(study.found)} of {study.parts} stages …   " if study.busy else ""
     told = f"{done}{counted} of {len(study.all)} layers differ"

@@ -48,11 +48,10 @@ def draw(app: Interface) -> None:
     _buffers(model)
     pinned = model.pointing.picked is not None
     widgets.heading("Values of the picked pixel" if pinned else "Values")
-    inspection = model.pointing.pinned if pinned else model.pointing.inspection
+    inspection, stale = model.values
     if inspection is None:
         widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
         return
-    stale = not model.current or (model.story_is_due if pinned else not model.shows_values)
     if stale:
         imgui.text_disabled("computing … these values are of another frame or setting")
     imgui.begin_disabled(stale)

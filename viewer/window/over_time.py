@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
+from ..engine.messages import Failure
 from ..picture.canvas import Canvas
 from ..picture.displays import FrameInfo
 from ..picture.view import View
@@ -19,10 +20,13 @@ def draw(app: Interface) -> None:
     model, study = app.model, app.model.studies.over_time
     reason = widgets.why_no_study(model, study)
     here = model.studies.here
-    spec = model.contents.spec(model.view.a)
+    spec = None if reason or here is None else model.contents.spec(here.shown)
     picture = None if reason or here is None else study.picture(here)
+    for failure in {made.error for made in study.found.values() if isinstance(made, Failure)}:
+        widgets.colored(widgets.red(), failure)
     if picture is None or spec is None or here is None or here.pixel is None:
-        widgets.hint(reason or "computing …")
+        made = study.found and not study.busy
+        widgets.hint(reason or ("no frame has rows of this layer" if made else "computing …"))
         return
     rows, slots = picture
     size = rows.shape[1], rows.shape[0]

@@ -18,13 +18,12 @@ class Growth:
 
     def __init__(self, place: Path):
         self.place = place
-        self._folder = place if place.is_dir() else place.parent
-        self._known = self._seen = self._state()
+        self._known = self._seen = state_of_capture(place)
 
     def look(self) -> Sequence | None:
         """Return the reopened capture if it has changed since it was opened and not since the last look, so that no
         writer is in the middle of something. If it cannot be opened, the next look tries again."""
-        before, self._seen = self._seen, self._state()
+        before, self._seen = self._seen, state_of_capture(self.place)
         if self._seen == self._known or self._seen != before:
             return None
         try:
@@ -33,11 +32,6 @@ class Growth:
             return None
         self._known = self._seen
         return sequence
-
-    def _state(self) -> list[tuple[int, int] | None]:
-        """Return time of change (nanoseconds) and size (bytes) of the folder and of the files that describe it; None
-        for missing ones."""
-        return [_state_of(path) for path in (self._folder, *(self._folder / name for name in _DESCRIPTIONS))]
 
 
 class Rewritten:
@@ -72,6 +66,13 @@ def _state_of(path: Path) -> tuple[int, int] | None:
     except OSError:
         return None
     return state.st_mtime_ns, state.st_size
+
+
+def state_of_capture(place: Path) -> list[tuple[int, int] | None]:
+    """Return time of change (nanoseconds) and size (bytes) of the capture's folder and of the files that describe it;
+    None for missing ones. `place`: the folder, or a file in it."""
+    folder = place if place.is_dir() else place.parent
+    return [_state_of(path) for path in (folder, *(folder / name for name in _DESCRIPTIONS))]
 
 
 def continues(sequence: Sequence, longer: Sequence) -> bool:

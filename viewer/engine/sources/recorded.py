@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import copy
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
@@ -40,7 +41,7 @@ class RecordedSource(Recorded, FrameSource):
         self.check: Callable[[], str | None] | None = None  # finds a suspicion, on a thread of its own
         self.growth: Growth | None = None
         self._alphas = alphas_for(1)
-        self._cache = _ReadAhead(cache_bytes)
+        self._cache, self._is_sibling = _ReadAhead(cache_bytes), False
 
     def _take(self, sequence):
         super()._take(sequence)
@@ -50,9 +51,14 @@ class RecordedSource(Recorded, FrameSource):
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
         self.has_truth = bool(truths)
 
+    def sibling(self):
+        other = copy.copy(self)
+        other._is_sibling = True
+        return other
+
     @property
     def nbytes(self):
-        return self._cache.nbytes
+        return 0 if self._is_sibling else self._cache.nbytes
 
     @property
     def changed_on_disk(self):

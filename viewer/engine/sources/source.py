@@ -27,9 +27,9 @@ class FrameSource(Source, Protocol):
     poses are flown, 0 for none, or another frame of a running program is awaited; `held`: of the frames delivered last,
     so many stay as they are; `follows`: shows what a running program does: the only slot is another frame whenever it
     is asked for; `options`: of the running program that the frames are from; `generated`: its new frames after each
-    rendered one; `suspicions`: sentences about the whole, more of them may come; `changed_on_disk`: files of its frames
-    are others than when it was opened; `nbytes`: bytes of frames that it keeps; `format`: the description of
-    `stored` frames.
+    rendered one; `suspicions`: sentences about the whole, more of them may come; `changed_on_disk`: files of its
+    frames are others than when it was opened; `nbytes`: bytes of frames that it keeps, unless the source that it is
+    a sibling of counts them; `format`: the description of `stored` frames.
     """
 
     target: str = ""

@@ -18,6 +18,7 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
 from ..messages import Frame, Key
+from .file_watch import state_of_capture
 from .preview import place_of
 from .source import FrameSource
 
@@ -26,21 +27,27 @@ _IN_OUTPUT = {names.DEPTH: ("Z",), names.MOTION: ("motion.x", "motion.y")} | {
 }
 
 
+def version_of(place: str) -> str:
+    """Return another text after something else was stored at `place`."""
+    return str(state_of_capture(place_of(place)))
+
+
 class StoredSlots:
-    """Frames on disk as slots. Raises GffeError if `place` cannot be opened.
+    """Frames on disk as slots; `version`: of `version_of`, before. Raises GffeError if `place` cannot be
+    opened.
 
     A slot's picture is the frame of its time: of a generated slot the extrapolated one, else ground truth, else a
     rendered one. Depth, motion and masks are those of the output's files, all other layers those of its stage dump
     (`gffe run --dump-stages`).
     """
 
-    def __init__(self, place: str):
-        self.place, self._sequence = place, open_capture(place_of(place))
+    def __init__(self, place: str, version: str):
+        self.place, self.version, self._sequence = place, version, open_capture(place_of(place))
 
     def make(self, key: Key, layers: frozenset[str], source: FrameSource, known: Mapping[str, LayerSpec]) -> Frame:
         """Return a slot with those of `layers` that are stored. `source`: of A's frames, whose times count; `known`:
         A's layers. Raises GffeError if there is no such frame."""
-        start, sequence = time.perf_counter(), self._sequence
+        start, sequence, known = time.perf_counter(), self._sequence, {**FRAME_LAYERS, **known}
         if (sequence.width, sequence.height) != (source.width, source.height):
             sizes = f"{sequence.width}×{sequence.height} pixels, expected {source.width}×{source.height}"
             raise GffeError(f"{self.place}: {sizes}")
