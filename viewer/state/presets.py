@@ -95,7 +95,7 @@ class KeptSettings:
         return self._keep(Kept(printable(Path(place).name), options, None, "", weights_of(options), place))
 
     def _keep(self, made: Kept) -> Kept:
-        """Make this B, by an unused name that begins with its own, instead of equal ones."""
+        """Make this B, by an unused name that begins with its own, instead of equal ones, and return it."""
         made = replace(made, name=self._unused(made.name[: _LONGEST - 5].rstrip(" ,")))
         self.all = [made, *(kept for kept in self.all if replace(kept, name=made.name) != made)][:_MOST]
         self.b = made

@@ -112,7 +112,7 @@ class Study:
 
     def subject(self, here: Here) -> Hashable:
         """Return what `find` reads of `here` besides what follows from the wants."""
-        return None
+        return ()
 
     def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
         """Return the frames that each part needs, in order."""
