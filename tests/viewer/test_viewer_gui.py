@@ -135,7 +135,12 @@ def test_in_and_out(values):
             ("hidden_parts.", "acceleration.", "warp.dynamic"),
         ),
         ("background collection", AFTER_SUBMIT, ("frame.filled_by", "frame.color", "final"), ("background.", "warp.")),
-        ("crack closing", AFTER_SUBMIT, ("frame.filled_by", "frame.disoccluded", "frame.color", "final"), ()),
+        (
+            "crack closing",
+            AFTER_SUBMIT,
+            ("frame.filled_by", "frame.disoccluded", "frame.color", "final"),
+            ("backward_blocks.reach",),
+        ),
         (
             "hole filling",
             (

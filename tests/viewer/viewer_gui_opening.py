@@ -28,10 +28,10 @@ def kernels(gui: Gui):
     gui.ctx.window_focus("//Kernels")
     gui.frames(2)
     before = gui.picture()
-    end = "    return done;\n"  # of what makes most pixels
-    darken = "vstore_half4_rte(0.25f * vload_half4(dst + k, to.color), dst + k, to.color);\n"
+    end = "        resample_lanes(samples, won.exist, width, shown, dst, out_color);\n"  # makes most pixels
+    darken = "vstore_half4_rte(0.25f * vload_half4(dst + k, out_color), dst + k, out_color);\n"
     assert text.count(end) == 1
-    darker = text.replace(end, f"    for (int k = 0; k < LANES; ++k) {darken}{end}")
+    darker = text.replace(end, f"{end}        for (int k = 0; k < min(LANES, count); ++k) {darken}")
     path.write_text(darker)
     gui.key(KEY.f5)
     gui.wait(lambda: not model.busy, "the rebuilt kernels")

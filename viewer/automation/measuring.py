@@ -99,7 +99,7 @@ class _Stopwatch:
         """Measure the window at rest, then close it."""
         assert self._rest is not None
         start, processor, frames = self._rest
-        if now < start or app.model.busy:
+        if now < start or app.model.busy or not app.model.source.is_checked:
             self._rest = max(start, now), time.process_time(), 0
         elif now - start < max(self.seconds, _LEAST_REST):
             self._rest = start, processor, frames + 1

@@ -6,7 +6,6 @@ import copy
 from collections import OrderedDict
 from collections.abc import Callable, Hashable
 from concurrent.futures import Future
-from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -79,11 +78,16 @@ class RecordedSource(Recorded, FrameSource):
     def look_closer(self):
         check, self.check = self.check, None
         if check is not None:
+            self.is_checked = False
             Background("check").run(self._suspect, check)
 
     def _suspect(self, check):
-        with suppress(GffeError):  # an unreadable frame: displaying it reports the error
+        try:
             self.suspicions += filter(None, [check()])
+        except GffeError:  # an unreadable frame: displaying it reports the error
+            pass
+        finally:
+            self.is_checked = True
 
     def rendered(self, k):
         make, read = super().rendered, super()._read

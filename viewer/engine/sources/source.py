@@ -29,7 +29,8 @@ class FrameSource(Source, Protocol):
     is asked for; `options`: of the running program that the frames are from; `generated`: its new frames after each
     rendered one; `suspicions`: sentences about the whole, more of them may come; `changed_on_disk`: files of its
     frames are others than when it was opened; `nbytes`: bytes of frames that it keeps, unless the source that it is
-    a sibling of counts them; `format`: the description of `stored` frames.
+    a sibling of counts them; `is_checked`: whether no check of the whole is under way; `format`: the description of
+    `stored` frames.
     """
 
     target: str = ""
@@ -44,6 +45,7 @@ class FrameSource(Source, Protocol):
     suspicions: Iterable[str] = ()
     changed_on_disk: bool = False
     nbytes: int = 0
+    is_checked: bool = True
     format: FrameFormat | None = None
 
     def sibling(self) -> FrameSource:
