@@ -99,6 +99,7 @@ def test_bench_of_a_sequence(gffe, tmp_path, small_copies):
         assert 0 < size["memory_gae"] == size["memory"] == sum(size["memory_by_stage"].values()) + (2 * 12 + 8) * 13 * 9
 
 
+@pytest.mark.long
 def test_bench_of_methods(gffe, tmp_path):
     """On the same frames: gffe and dilate-splat on every device, the rest on the host, all with figures; the first is
     the reference."""

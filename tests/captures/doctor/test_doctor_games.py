@@ -32,6 +32,7 @@ def dilated():
     return Kept([replace(frames[0], reset=True), *frames[1:]])
 
 
+@pytest.mark.long
 def test_dilated_vectors_are_named_with_their_share():
     found = [f for f in examine(dilated()).findings if f.name == "dilated"]
     assert [f.kind for f in found] == ["note"] and found[0].figures["share"] > 0.95

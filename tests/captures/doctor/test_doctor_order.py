@@ -30,6 +30,7 @@ def shifted(spaces):
     return Kept(frames)
 
 
+@pytest.mark.long
 @pytest.mark.parametrize(
     ("spaces", "said"),
     [

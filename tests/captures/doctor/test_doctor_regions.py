@@ -63,6 +63,7 @@ PARTS = {
 }
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("kind", few(PARTS, "half"))
 def test_vectors_of_another_convention_in_a_part_are_a_fault(kind):
     change, said = PARTS[kind]
