@@ -8,7 +8,6 @@ from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.engine.options import OPTIONS
 from ..engine.figures import REGIONS
-from ..engine.messages import Failure
 from ..state.model import Model
 from ..state.studies import ALL, without
 from . import widgets
@@ -28,8 +27,7 @@ def draw(app: Interface) -> None:
         imgui.progress_bar(len(study.found) / max(study.parts, 1), (-1, 0), f"{len(study.found)} of {study.parts}")
     else:
         widgets.hint("dB that this frame loses without a module. A click compares with it off")
-    for failure in {made.error for made in study.found.values() if isinstance(made, Failure)}:
-        widgets.colored(widgets.red(), failure)
+    widgets.failures(study)
     with widgets.compact():
         _table(model)
 

@@ -7,7 +7,6 @@ from itertools import groupby
 
 from imgui_bundle import hello_imgui, imgui
 
-from ..engine.messages import Failure
 from ..state.model import Model
 from ..state.studies import Difference
 from . import widgets
@@ -32,8 +31,7 @@ def draw(app: Interface) -> None:
     done = f"{len(study.found)} of {study.parts} stages …   " if study.busy else ""
     told = f"{done}{counted} of {len(study.all)} layers differ"
     widgets.hint(told if first or study.busy else "all layers are equal")
-    for failure in {made.error for made in study.found.values() if isinstance(made, Failure)}:
-        widgets.colored(widgets.red(), failure)
+    widgets.failures(study)
     with widgets.compact():
         for group, listed in groupby(shown, key=lambda one: one.spec.group):
             imgui.text_disabled(group)

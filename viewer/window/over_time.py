@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
-from ..engine.messages import Failure
 from ..picture.canvas import Canvas
 from ..picture.displays import FrameInfo
 from ..picture.view import View
@@ -22,8 +21,7 @@ def draw(app: Interface) -> None:
     here = model.studies.here
     spec = None if reason or here is None else model.contents.spec(here.shown)
     picture = None if reason or here is None else study.picture(here)
-    for failure in {made.error for made in study.found.values() if isinstance(made, Failure)}:
-        widgets.colored(widgets.red(), failure)
+    widgets.failures(study)
     if picture is None or spec is None or here is None or here.pixel is None:
         made = study.found and not study.busy
         widgets.hint(reason or ("no frame has rows of this layer" if made else "computing …"))

@@ -10,6 +10,7 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from ..engine.messages import Failure
 from ..picture.colors import Rgb, wheel_color
 from ..picture.legends import Legend
 from ..state.model import Model
@@ -195,6 +196,12 @@ def why_no_study(model: Model, study: Study) -> str:
     study.look()
     here = model.studies.here
     return "Open a sequence or a scene" if here is None else study.why_not(here) or ""
+
+
+def failures(study: Study) -> None:
+    """Draw the errors of frames that a study wanted, each once."""
+    for error in {made.error for made in study.found.values() if isinstance(made, Failure)}:
+        colored(red(), error)
 
 
 def hint(text: str) -> None:

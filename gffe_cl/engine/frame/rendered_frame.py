@@ -90,8 +90,7 @@ class RenderedFrame:
     geometry_jitter : (float, float)
         Jitter of depth and motion that color does not have, because it was antialiased over time: pixels of these to
         the right and down by which their image is shifted. It is no part of the camera. Vectors that include it need a
-        `FrameFormat` with `motion_jittered`. It changes nothing
-        else where depth and motion have color's size: pixels of one size lie on one another.
+        `FrameFormat` with `motion_jittered`. Otherwise it has no effect where depth and motion have color's size.
     geometry_size : (int, int) or None
         Width and height of depth and motion where they are smaller than color, up to three times each way. None: those
         of the `FrameFormat`, else color's. It may change from frame to frame. Motion is then in pixels of depth and
