@@ -86,7 +86,6 @@ def test_options_that_prose_names_exist():
     others |= {"--offscreen", "--rate", "--shown", "--game", "--variable", "--rendering", "--making"}  # of the examples
     others |= {"--uneven", "--stall", "--resize", "--cut", "--lose", "--compare"}
     others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
-    others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from", "--no-deps"}  # of uvx and pip
     others |= {"--build", *RENAMED, "--sharpening"}  # of CMake; older names, and what the changelog has removed
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
