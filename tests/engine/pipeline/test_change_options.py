@@ -46,14 +46,14 @@ def test_as_a_new_pipeline(device, options):
     ("provider", "rests"),
     [
         ("cpu", {"shading_correction": False}),
-        ("opencl", {"shading_correction": False}),
         ("opencl", {"shading_correction": False, "hidden_parts": False}),
-        ("cpu", {"reappearing": False}),
+        ("opencl", {"reappearing": False}),
     ],
 )
-def test_modules_rest_and_work_again(device, provider, rests):
+def test_modules_rest_and_work_again(device, default_model, provider, rests):
     """Frames are kept: the same bits as of pipelines that had either options from the beginning."""
-    options = Options(scn_provider=provider)
+    model = default_model().with_stem("scn-int8") if provider == "opencl" else default_model()
+    options = Options(scn_model=model, scn_provider=provider)
     shown, several = scene.frames(96, 54, count=6, samples=1), (options, options, replace(options, **rests))
     changed, full, less = (Pipeline(device, 96, 54, one) for one in several)
     for frame, now in zip(shown, (full, full, less, less, full, full), strict=True):
