@@ -428,14 +428,6 @@ class Options:
             values["history"] = max(self.history, value + 1)
         return replace(self, **values)
 
-    def is_part_of(self, made: Options) -> bool:
-        """Return whether a pipeline made with the options `made` needs no other buffers for these: some of its modules
-        rest. Upscaling reads the corrected image, so nothing rests beside it."""
-        different = [name for name in OPTIONS if getattr(self, name) != getattr(made, name)]
-        return not (different and self.upscale) and all(
-            OPTIONS[name].rests and getattr(self, name) is False for name in different
-        )
-
     @property
     def warps_footprints(self) -> bool:
         """Whether the warp splats footprints, which the stages after it add to."""
@@ -457,6 +449,14 @@ class Options:
 
 
 OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name) for f in fields(Options)}
+
+
+def is_part_of(options: Options, made: Options) -> bool:
+    """Return whether a pipeline made with the options `made` needs no other buffers for `options`: some of its modules
+    rest. Upscaling reads the corrected image, so nothing rests beside it."""
+    different = [name for name in OPTIONS if getattr(options, name) != getattr(made, name)]
+    can_rest = all(OPTIONS[name].rests and getattr(options, name) is False for name in different)
+    return can_rest and not (different and options.upscale)
 
 
 def command_words(options: Options) -> list[str]:

@@ -25,7 +25,7 @@ from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.handles import adopted_events, marker, wait_for_all
-from gffe_cl.engine.options import Options
+from gffe_cl.engine.options import Options, is_part_of
 from gffe_cl.engine.pipeline.display import Display
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.moment import checked_moment
@@ -180,7 +180,7 @@ class Pipeline:
         """Return whether `change_options` with these neither allocates nor drops anything: they only switch off shading
         correction, hidden parts or reappearing parts, with which the pipeline was made, or on again, and do not
         upscale. Raises GffeError for anything but `Options`."""
-        return require_kind(options, Options, "keeps_frames: options", "Options").is_part_of(self._made_with)
+        return is_part_of(require_kind(options, Options, "keeps_frames: options", "Options"), self._made_with)
 
     def _footprint(self) -> str:
         return footprint(self.device, self.sizes, getattr(self, "_nbytes", None))

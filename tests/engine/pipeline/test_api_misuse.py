@@ -56,7 +56,10 @@ ON_A_DEVICE = {
     "Pipeline.keep", "Pipeline.keeps_frames", "Pipeline.change_options", "attach", "present",
     "Device.buffer", "Device.empty", "Device.from_context", "sharing_support", "choose_options",
 }  # fmt: skip
-WITH_A_FAKE_DRIVER = {"GlSharing", "GlSharing.buffer", "GlSharing.open_device", "MemorySharing", "MemorySharing.buffer"}
+WITH_A_FAKE_DRIVER = {
+    "GlSharing", "GlSharing.buffer", "GlSharing.open_device", "MemorySharing", "MemorySharing.buffer",
+    "MemorySharing.semaphore", "MemorySharing.wait", "MemorySharing.signal",
+}  # fmt: skip
 RECORDS = {"SharingSupport", "DeviceInfo", "BadPixels", "Overlays", "RenderedFrame", "FrameEntry", "Window"}
 MADE_BY_OTHERS = {"Device", "ExtrapolatedFrame", "PresentedFrame", "Sequence", "GffeError"}
 
