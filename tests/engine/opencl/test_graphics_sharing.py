@@ -248,7 +248,7 @@ def test_semaphores_of_vulkan(device, driver):
     shared.wait(rendered)
     with pytest.raises(GffeError, match="clEnqueueWaitSemaphoresKHR failed: OpenCL error -59"):
         shared.wait(rendered)
-    with pytest.raises(GffeError, match="semaphore must be one of MemorySharing.semaphore, got 3"):
+    with pytest.raises(GffeError, match=r"semaphore must be one of .*, got 3"):
         shared.signal(3)
     with pytest.raises(GffeError, match="clCreateSemaphoreWithPropertiesKHR failed: OpenCL error -30"):
         shared.semaphore("opaque_fd", 5)
