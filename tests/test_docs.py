@@ -84,7 +84,7 @@ def test_options_that_prose_names_exist():
     others |= {"--cases", "--minutes", "--arguments", "--measure", "--tables", "--scenes"}  # of scripts in docs
     others |= {"--setup", "--rocm", "--old"}  # of gpu_compilers.py and compare_speed.py in docs/tools
     others |= {"--offscreen", "--rate", "--shown", "--game", "--variable", "--rendering", "--making"}  # of the examples
-    others |= {"--uneven", "--stall", "--resize", "--cut", "--lose", "--compare"}
+    others |= {"--uneven", "--stall", "--resize", "--cut", "--lose", "--load", "--compare"}
     others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
     others |= {"--from", "--no-deps"}  # of uvx and pip
     others |= {"--build", *RENAMED, "--sharpening", "--scheduler"}  # of CMake; older names, and what the changelog has removed
