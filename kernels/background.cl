@@ -261,16 +261,10 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
     if (!ANY(wanted)) return;
 
     /* The few that may be offered, one by one. */
-    float now_x[LANES], now_y[LANES], now_z[LANES];
-    int is_wanted[LANES], is_remembered[LANES];
-    store_floats(now.x, 0, now_x);
-    store_floats(now.y, 0, now_y);
-    store_floats(now.z, 0, now_z);
-    store_ints(wanted, 0, is_wanted);
-    store_ints(remembered, 0, is_remembered);
     for (int k = 0; k < LANES; ++k) {
-        const uint memory = is_remembered[k] ? FROM_MEMORY : 0u;
-        if (is_wanted[k]) offer_fragment((float3)(now_x[k], now_y[k], now_z[k]), (uint)(texel + k) | memory, to);
+        if (!int_of(&wanted, k)) continue;
+        const float3 place = (float3)(float_of(&now.x, k), float_of(&now.y, k), float_of(&now.z, k));
+        offer_fragment(place, (uint)(texel + k) | (int_of(&remembered, k) ? FROM_MEMORY : 0u), to);
     }
 }
 

@@ -208,19 +208,11 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
         copy_rgb_run(color, out);
         return;
     }
-    int lane_holds[LANES];
-    float r[LANES], g[LANES], b[LANES];
-    store_ints(holds, 0, lane_holds);
-    store_floats(c.r, 0, r);
-    store_floats(c.g, 0, g);
-    store_floats(c.b, 0, b);
-    for (int k = 0; k < min(count, LANES); ++k) {
-        if (lane_holds[k]) {
-            store_color((float3)(r[k], g[k], b[k]), out, k);
-        } else {
+    for (int k = 0; k < min(count, LANES); ++k)
+        if (int_of(&holds, k))
+            store_color((float3)(float_of(&c.r, k), float_of(&c.g, k), float_of(&c.b, k)), out, k);
+        else
             ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
-        }
-    }
 }
 
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that

@@ -45,15 +45,10 @@ INLINE void offer_vectors(const int pass, __global Key *keys, __global uint *win
                           const Ints lands, const Floats px_x, const Floats px_y, const Floats vector_x,
                           const Floats vector_y, const Floats z) {
     const Floats none = (Floats)(0.0f);
-    int lane_lands[LANES], lane_dst[LANES];
-    uint lane_word[LANES];
-    float lane_z[LANES];
-    store_ints(lands, 0, lane_lands);
-    store_ints(to_ints(lands ? px_y : none) * width + to_ints(lands ? px_x : none), 0, lane_dst);
-    store_ints(half_word(lands ? vector_y : none) << 16 | half_word(lands ? vector_x : none), 0, lane_word);
-    store_floats(z, 0, lane_z);
+    const Ints dst = to_ints(lands ? px_y : none) * width + to_ints(lands ? px_x : none);
+    const Uints word = half_word(lands ? vector_y : none) << 16 | half_word(lands ? vector_x : none);
     for (int k = 0; k < min(LANES, count); ++k)
-        if (lane_lands[k]) offer(pass, keys, winners, lane_dst[k], lane_z[k], lane_word[k]);
+        if (int_of(&lands, k)) offer(pass, keys, winners, int_of(&dst, k), float_of(&z, k), uint_of(&word, k));
 }
 
 /* The rendered frame, for a pixel that comes from `here` plus the vector in a word. `z`: depths of its pixels in the

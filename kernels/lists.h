@@ -5,11 +5,7 @@
 #include "simd.h"
 
 #define WALK_GROUP 64 /* work-items of a group that walks a list ... */
-#if LANES == 1
-#define TEAM 8 /* ... and of a team, which works on one pixel */
-#else
-#define TEAM 1
-#endif
+#define TEAM (LANES == 1 ? 8 : 1) /* ... and of a team, which works on one pixel */
 #define TEAMS (WALK_GROUP / TEAM)
 #define MIXED_FLAG 0x80000000u /* of an entry of warp.open: the pixel is no hole, but mixed */
 
@@ -45,12 +41,8 @@ INLINE void append_lanes(const Ints has, const Uints entries, __global uint *lis
 #else
     (void)shared;
     if (!ANY(has)) return;
-    int lane_has[LANES];
-    uint lane_entry[LANES];
-    store_ints(has, 0, lane_has);
-    store_ints(entries, 0, lane_entry);
     for (int k = 0; k < LANES; ++k)
-        if (lane_has[k]) append(lane_entry[k], list);
+        if (int_of(&has, k)) append(uint_of(&entries, k), list);
 #endif
 }
 

@@ -208,14 +208,11 @@ WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const 
     }
     const Ints side = d.z[4] < d.middle ? (Ints)(NEAR) : (Ints)(FAR);
     store_some_bytes(to_bytes(part ? side : (Ints)(NO_LAYER)), count, layer + src);
-    int lane_part[LANES], lane_colors[LANES], lane_shares[LANES];
-    store_ints(part, 0, lane_part);
-    store_ints(pack_colors(colors[0], colors[1], colors[2]), 0, lane_colors);
-    store_ints(to_ints(SHARES * shares + 0.5f), 0, lane_shares);
-    for (int k = 0; k < min(count, LANES); ++k) {
-        if (!lane_part[k]) continue;
-        behind[src + k] = (uint)lane_colors[k];
-        share[src + k] = (uchar)lane_shares[k];
+    const Ints packed = pack_colors(colors[0], colors[1], colors[2]), bytes = to_ints(SHARES * shares + 0.5f);
+    for (int k = 0; k < count; ++k) {
+        if (!int_of(&part, k)) continue;
+        behind[src + k] = (uint)int_of(&packed, k);
+        share[src + k] = (uchar)int_of(&bytes, k);
         mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height,
                     marked);
     }
@@ -520,17 +517,13 @@ INLINE void soften_run(const int dst_x, const int dst_y, const int count, const 
     Ints paired;
     const Ints is_soft = find_soft(dst_x, dst_y, s, l, f, &pairs, &paired);
     if (!ANY(is_soft)) return;
-    int lane_soft[LANES], lane_far[LANES];
-    float lane_x[LANES], lane_y[LANES], lane_z[LANES];
-    store_ints(is_soft, 0, lane_soft);
-    store_ints(paired ? pairs.far : (Ints)(0), 0, lane_far);
-    store_floats(pairs.near_x, 0, lane_x);
-    store_floats(pairs.near_y, 0, lane_y);
-    store_floats(pairs.near_z, 0, lane_z);
-    for (int k = 0; k < count; ++k)
-        if (lane_soft[k])
-            coverage[k] = soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
-                                       lane_far[k], softened);
+    for (int k = 0; k < count; ++k) {
+        if (!int_of(&is_soft, k)) continue;
+        const float3 near =
+            (float3)(float_of(&pairs.near_x, k), float_of(&pairs.near_y, k), float_of(&pairs.near_z, k));
+        const int far = int_of(&paired, k) ? int_of(&pairs.far, k) : 0;
+        coverage[k] = soften_pixel(s, l, f, dst_x + k, dst_y, near, far, softened);
+    }
 }
 #endif
 

@@ -119,6 +119,13 @@ INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = 
 
 #endif
 
+/* The number in lane k, for what is done lane by lane. */
+INLINE float float_of(const Floats *v, const int k) { return ((const float *)v)[k]; }
+INLINE int int_of(const Ints *v, const int k) { return ((const int *)v)[k]; }
+INLINE uint uint_of(const Uints *v, const int k) { return ((const uint *)v)[k]; }
+INLINE uchar byte_of(const Bytes *v, const int k) { return ((const uchar *)v)[k]; }
+INLINE void set_float(Floats *v, const int k, const float number) { ((float *)v)[k] = number; }
+
 /* The lesser and the greater of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN.
    If one is NaN, `wide_lesser` gives the second and `wide_greater` the first. */
 INLINE Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
@@ -175,9 +182,7 @@ INLINE void store_some_bytes(const Bytes v, const int count, __global uchar *p) 
         store_bytes(v, 0, p);
         return;
     }
-    uchar lanes[LANES];
-    store_bytes(v, 0, lanes);
-    for (int k = 0; k < count; ++k) p[k] = lanes[k];
+    for (int k = 0; k < count; ++k) p[k] = byte_of(&v, k);
 }
 
 INLINE void store_some_xy(const Floats x, const Floats y, const int count, __global float2 *p) {
@@ -185,10 +190,7 @@ INLINE void store_some_xy(const Floats x, const Floats y, const int count, __glo
         store_xy(x, y, p);
         return;
     }
-    float lanes_x[LANES], lanes_y[LANES];
-    store_floats(x, 0, lanes_x);
-    store_floats(y, 0, lanes_y);
-    for (int k = 0; k < count; ++k) p[k] = (float2)(lanes_x[k], lanes_y[k]);
+    for (int k = 0; k < count; ++k) p[k] = (float2)(float_of(&x, k), float_of(&y, k));
 }
 
 INLINE void store_some_floats(const Floats v, const int count, __global float *p) {
@@ -196,9 +198,7 @@ INLINE void store_some_floats(const Floats v, const int count, __global float *p
         store_floats(v, 0, p);
         return;
     }
-    float lanes[LANES];
-    store_floats(v, 0, lanes);
-    for (int k = 0; k < count; ++k) p[k] = lanes[k];
+    for (int k = 0; k < count; ++k) p[k] = float_of(&v, k);
 }
 
 INLINE void store_some_halfs(const Floats v, const int count, __global half *p) {
@@ -206,9 +206,7 @@ INLINE void store_some_halfs(const Floats v, const int count, __global half *p) 
         store_halfs(v, 0, p);
         return;
     }
-    float lanes[LANES];
-    store_floats(v, 0, lanes);
-    for (int k = 0; k < count; ++k) vstore_half_rte(lanes[k], k, p);
+    for (int k = 0; k < count; ++k) vstore_half_rte(float_of(&v, k), k, p);
 }
 
 /* x + 0.5 of each lane's pixel. */

@@ -15,16 +15,13 @@ INLINE WideRgb finite_rgb(const WideRgb c) {
 
 /* Colors of the pixels i. */
 INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
-    int pixel[LANES];
-    float r[LANES], g[LANES], b[LANES];
-    store_ints(i, 0, pixel);
+    WideRgb rgb;
     for (int k = 0; k < LANES; ++k) {
-        const float4 c = load_texel(pixel[k], color);
-        r[k] = c.x;
-        g[k] = c.y;
-        b[k] = c.z;
+        const float4 c = load_texel(int_of(&i, k), color);
+        set_float(&rgb.r, k, c.x);
+        set_float(&rgb.g, k, c.y);
+        set_float(&rgb.b, k, c.z);
     }
-    const WideRgb rgb = {load_floats(0, r), load_floats(0, g), load_floats(0, b)};
     return rgb;
 }
 

@@ -40,11 +40,8 @@ INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx
 /* Texels of a half image, unchecked. */
 INLINE void texels_beside(const Span p, __global const half *image, const int dx, const int dy, Strip *c) {
     float texels[4 * LANES];
-    if (!p.inner) {
-        int pixel[LANES];
-        store_ints(clamped_beside(p, dx, dy), 0, pixel);
-        for (int k = 0; k < LANES; ++k) vstore4(load_texel(pixel[k], image), k, texels);
-    }
+    const Ints pixels = clamped_beside(p, dx, dy);
+    for (int k = 0; !p.inner && k < LANES; ++k) vstore4(load_texel(int_of(&pixels, k), image), k, texels);
 #pragma unroll
     for (int part = 0; part < PARTS; ++part)
         c->part[part] = p.inner ? load_texels(part, image + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);

@@ -44,9 +44,7 @@ INLINE int run_x(const int width, const int k) {
 /* Counts those of the first `count` lanes for which a condition holds. */
 INLINE int lanes_where(const Ints condition, const int count) {
     int number = 0;
-    uchar lanes[LANES];
-    store_bytes(to_bytes(condition ? (Ints)(1) : (Ints)(0)), 0, lanes);
-    for (int k = 0; k < min(count, LANES); ++k) number += lanes[k];
+    for (int k = 0; k < min(count, LANES); ++k) number += int_of(&condition, k) != 0;
     return number;
 }
 
@@ -502,27 +500,16 @@ WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global co
     }
     sum_z = isinf(z) ? z : sum_z;
     if (!ALL(smooth)) {
-        float lanes_z[LANES], lanes_x[LANES], lanes_y[LANES], lanes_u[LANES], lanes_v[LANES];
-        int is_smooth[LANES], indices[4][LANES];
-        store_floats(sum_z, 0, lanes_z);
-        store_floats(sum_x, 0, lanes_x);
-        store_floats(sum_y, 0, lanes_y);
-        store_floats(u, 0, lanes_u);
-        store_floats(v, 0, lanes_v);
-        store_ints(smooth, 0, is_smooth);
-        for (int tap = 0; tap < 4; ++tap) store_ints(taps[tap], 0, indices[tap]);
         for (int k = 0; k < min(count, LANES); ++k) {
-            if (is_smooth[k]) continue;
-            const int4 around = (int4)(indices[0][k], indices[1][k], indices[2][k], indices[3][k]);
+            if (int_of(&smooth, k)) continue;
+            const int4 around =
+                (int4)(int_of(&taps[0], k), int_of(&taps[1], k), int_of(&taps[2], k), int_of(&taps[3], k));
             const float3 found = geometry_at_edge(frame, color, small_depth, small_motion, y * width + x + k, around,
-                                                  lanes_u[k], lanes_v[k]);
-            lanes_z[k] = found.x;
-            lanes_x[k] = found.y;
-            lanes_y[k] = found.z;
+                                                  float_of(&u, k), float_of(&v, k));
+            set_float(&sum_z, k, found.x);
+            set_float(&sum_x, k, found.y);
+            set_float(&sum_y, k, found.z);
         }
-        sum_z = load_floats(0, lanes_z);
-        sum_x = load_floats(0, lanes_x);
-        sum_y = load_floats(0, lanes_y);
     }
     store_some_floats(sum_z, count, depth + y * width + x);
     store_some_xy(sum_x, sum_y, count, motion + y * width + x);

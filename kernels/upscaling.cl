@@ -107,13 +107,11 @@ INLINE Floats share_seen(const Floats px_x, const Floats px_y, const Floats expe
 /* c within the least and the most of the 2x2 texels of an image around px. */
 INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, const int width, const int height,
                           __global const half *image) {
-    int left[LANES], top[LANES];
+    const Ints left = to_ints(floor(px_x - 0.5f)), top = to_ints(floor(px_y - 0.5f));
     float low[4 * LANES], high[4 * LANES];
-    store_ints(to_ints(floor(px_x - 0.5f)), 0, left);
-    store_ints(to_ints(floor(px_y - 0.5f)), 0, top);
     for (int k = 0; k < LANES; ++k) {
-        const float8 a = two_texels(image, left[k], top[k], width, height),
-                     b = two_texels(image, left[k], top[k] + 1, width, height);
+        const int x = int_of(&left, k), y = int_of(&top, k);
+        const float8 a = two_texels(image, x, y, width, height), b = two_texels(image, x, y + 1, width, height);
         const float8 least = a < b ? a : b, most = a < b ? b : a;
         vstore4(least.lo < least.hi ? least.lo : least.hi, k, low);
         vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);

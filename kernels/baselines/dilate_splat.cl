@@ -68,19 +68,12 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
     const Uints word = load_some_winners(count, keys, winners, dst);
     Floats move_x = component(word & 0xFFFFu), move_y = component(word >> 16);
     if (ANY(word == NOBODY)) {
-        uint lane_word[LANES];
-        float lane_x[LANES], lane_y[LANES];
-        store_ints(word, 0, lane_word);
-        store_floats(move_x, 0, lane_x);
-        store_floats(move_y, 0, lane_y);
         for (int k = 0; k < min(LANES, count); ++k) {
-            if (lane_word[k] != NOBODY) continue;
+            if (uint_of(&word, k) != NOBODY) continue;
             const float2 move = filling_vector(keys, winners, motion, x + k, y, width, height, alpha);
-            lane_x[k] = move.x;
-            lane_y[k] = move.y;
+            set_float(&move_x, k, move.x);
+            set_float(&move_y, k, move.y);
         }
-        move_x = load_floats(0, lane_x);
-        move_y = load_floats(0, lane_y);
     }
     const Floats px_x =
         wide_greater(wide_lesser(to_floats(x + LANE_NUMBERS) - move_x, (Floats)((float)(width - 1))), (Floats)(0.0f));
