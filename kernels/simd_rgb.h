@@ -42,6 +42,10 @@ typedef float16 Texels;
 #define load_texels(i, p) vload_half16(i, p)
 #define reload_texels(i, p) vload16(i, p)
 #define unload_texels(v, i, p) vstore16(v, i, p)
+/* Whether a condition holds for all lanes of a part; and the pixels that would follow each part's first one in a row.
+ */
+#define ALL_OF_PART(condition, part) all((part) ? (condition).hi : (condition).lo)
+#define ROWS_OF_PARTS(pixels) ((int8)((int4)((pixels).s0), (int4)((pixels).s4 - 4)) + LANE_NUMBERS)
 
 DEFINE_FINITE(Texels, finite_texels)
 
@@ -64,6 +68,8 @@ typedef float4 Texels;
 #define load_texels(i, p) load_texel(i, p)
 #define reload_texels(i, p) vload4(i, p)
 #define unload_texels(v, i, p) vstore4(v, i, p)
+#define ALL_OF_PART(condition, part) ((condition) != 0)
+#define ROWS_OF_PARTS(pixels) (pixels)
 #define finite_texels finite_texel
 #define store_texels store_texel
 

@@ -1,6 +1,5 @@
 /* LANES texels of half images at once, wherever they lie, and cubic interpolation at LANES places (upscaling.cl). */
 
-#include "simd_rgb.h"
 #include "cubic.h"
 
 /* Four channels of each lane. */
@@ -122,43 +121,25 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     Floats wx[4], wy[4];
     sloped_weights(corner_x - first_x, slope, wx);
     sloped_weights(corner_y - first_y, slope, wy);
-    wide_without_corners(wx, wy);
-    int lane_use[LANES], lane_x[LANES], lane_y[LANES];
-    float texels[4 * LANES], lanes_x[4][LANES], lanes_y[4][LANES];
-    store_ints(x, 0, lane_x);
-    store_ints(y, 0, lane_y);
-    if (!ALL(use))
-        for (int k = 0; k < LANES; ++k) vstore4((float4)(0.0f), k, texels);
-    Ints rest = use;
-#if LANES == 8
-    /* Halves whose taps lie in a row, within the image. */
-    const Ints in_row = use & (x - LANE_NUMBERS == (int8)((int4)(lane_x[0]), (int4)(lane_x[4] - 4)))
-                        & (y == (int8)((int4)(lane_y[0]), (int4)(lane_y[4]))) & (x >= 0) & (y >= 0) & (x + 4 <= width)
-                        & (y + 4 <= height);
-    for (int k = 0; k < 2; ++k) {
-        if (!all(k ? in_row.hi : in_row.lo)) continue;
-        const float4 four_x[4] = {k ? wx[0].hi : wx[0].lo, k ? wx[1].hi : wx[1].lo, k ? wx[2].hi : wx[2].lo,
-                                  k ? wx[3].hi : wx[3].lo};
-        const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo,
-                                  k ? wy[3].hi : wy[3].lo};
-        unload_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image), k, texels);
-        if (k)
-            rest.hi = (int4)(0);
-        else
-            rest.lo = (int4)(0);
+    leave_out_corners(wx, wy);
+    const Ints first = y * width + x;
+    const Ints in_row =
+        use & (first == ROWS_OF_PARTS(first)) & (x >= 0) & (y >= 0) & (x + 4 <= width) & (y + 4 <= height);
+    float texels[4 * LANES];
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) {
+        const int lane = part * TEXELS;
+        if (LANES > 1 && ALL_OF_PART(in_row, part)) {
+            unload_texels(cubic_of_run(int_of(&first, lane), wx, wy, part, width, image), part, texels);
+            continue;
+        }
+        for (int k = lane; k < lane + TEXELS; ++k) {
+            float4 c = (float4)(0.0f);
+            if (int_of(&use, k))
+                c = clamped_cubic(int_of(&x, k), int_of(&y, k), weights_of_lane(wx, k), weights_of_lane(wy, k), width,
+                                  height, image);
+            vstore4(c, k, texels);
+        }
     }
-    if (!any(rest)) return channels_in(texels);
-#endif
-    store_ints(rest, 0, lane_use);
-    for (int k = 0; k < 4; ++k) {
-        store_floats(wx[k], 0, lanes_x[k]);
-        store_floats(wy[k], 0, lanes_y[k]);
-    }
-    for (int k = 0; k < LANES; ++k)
-        if (lane_use[k])
-            vstore4(clamped_cubic(
-                        lane_x[k], lane_y[k], (float4)(lanes_x[0][k], lanes_x[1][k], lanes_x[2][k], lanes_x[3][k]),
-                        (float4)(lanes_y[0][k], lanes_y[1][k], lanes_y[2][k], lanes_y[3][k]), width, height, image),
-                    k, texels);
     return channels_in(texels);
 }
