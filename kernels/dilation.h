@@ -17,7 +17,7 @@
 /* The least depth of the 3x3 around LANES pixels from (x, y) on, and its pixels; of sky their own. */
 INLINE Floats find_nearest(__global const float *depth, const int x, const int y, const int width, const int height,
                            Ints *nearest) {
-    const Span p = {x, y, width, height, x >= 1 && y >= 1 && x + LANES < width && y + 1 < height};
+    const Span p = span_at(x, y, width, height);
     Floats least = (Floats)(INFINITY);
     *nearest = clamped_beside(p, 0, 0);
 #pragma unroll

@@ -137,22 +137,15 @@ INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
     return product;
 }
 
-#if LANES == 8
-#define CHANNEL(a, b, c) ((float8)((a).part[0].s##c, (a).part[1].s##c, (b).part[0].s##c, (b).part[1].s##c))
-#define LEFT(a, b) {CHANNEL(a, b, 08), CHANNEL(a, b, 19), CHANNEL(a, b, 2a)}
-#define RIGHT(a, b) {CHANNEL(a, b, 4c), CHANNEL(a, b, 5d), CHANNEL(a, b, 6e)}
-#else
-#define LEFT(a, b) {(a).part[0].x, (a).part[0].y, (a).part[0].z}
-#define RIGHT(a, b) {(b).part[0].x, (b).part[0].y, (b).part[0].z}
-#endif
-
 /* Means over 2x2 pixels, encoded: three planes of the network's input. */
 INLINE void store_colors(const Products products, const float4 law, const int plane_size, __global float *planes) {
-    const WideRgb left = LEFT(products.left, products.right), right = RIGHT(products.left, products.right);
-    const float scale = 0.25f * law.y;
-    store_floats(scale * log_of_product(left.r, right.r), 0, planes);
-    store_floats(scale * log_of_product(left.g, right.g), 0, planes + plane_size);
-    store_floats(scale * log_of_product(left.b, right.b), 0, planes + 2 * plane_size);
+    Floats first[4], second[4];
+    channels_of(&products.left, first);
+    channels_of(&products.right, second);
+    for (int c = 0; c < 3; ++c) {
+        const Floats left = EVEN_OF(first[c], second[c]), right = ODD_OF(first[c], second[c]);
+        store_floats(0.25f * law.y * log_of_product(left, right), 0, planes + c * plane_size);
+    }
 }
 
 /* Indices of 2x2 pixels, LANES times, from (x, y) on: upper left and right, lower left and right; the image's border is

@@ -13,6 +13,7 @@
 #if LANES == 8
 
 #define WIDE __attribute__((vec_type_hint(float8)))  /* before a kernel: it is wide already */
+#define LISTS WIDE /* before one for all pixels that appends to a list: on GPUs their groups must be known */
 typedef float8 Floats;
 typedef int8 Ints;    /* of conditions: -1 or 0 */
 typedef uint8 Uints;
@@ -36,13 +37,20 @@ typedef uchar8 Bytes;
 typedef float16 Pairs;       /* of numbers that follow one another: its .even and .odd are Floats */
 typedef uchar16 BytePairs;
 #define load_pairs(p) vload16(0, p)
+#define load_half_pairs(p) load_halfs16(p)
+/* The even and the odd numbers of two runs, the second of which follows the first. */
+#define EVEN_OF(first, second) ((float8)((first).even, (second).even))
+#define ODD_OF(first, second) ((float8)((first).odd, (second).odd))
 /* The left and the right taps of LANES pixels in an image of half the size, from the first left one on. */
 #define load_left_taps(p) (vload8(0, p).s01122334)
 #define load_right_taps(p) (vload8(0, p).s12233445)
+/* Numbers for LANES pixels of an image of twice the size, from column x on: each twice; of p and of q in turns. */
+#define load_doubled(p) (vload4(0, p).s00112233)
+#define load_in_turns(p, q, x) ((float8)(vload4(0, (p) + (x) / 2), vload4(0, (q) + (x) / 2)).s04152637)
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define ALL_LANES ((int8)(-1))
-#define load_two_texels(i, image) vload_half8(0, (image) + 4 * (i))
-#define load_four_texels(i, image) vload_half16(0, (image) + 4 * (i))
+#define load_two_texels(i, image) load_halfs8((image) + 4 * (i))
+#define load_four_texels(i, image) load_halfs16((image) + 4 * (i))
 #define FIRST_LANE(v) ((v).s0)
 #define LAST_LANE(v) ((v).s7)
 
@@ -54,6 +62,18 @@ typedef uchar16 BytePairs;
 #define gather_halfs(p, i)                                                                                             \
     ((float8)(vload_half((i).s0, p), vload_half((i).s1, p), vload_half((i).s2, p), vload_half((i).s3, p),              \
               vload_half((i).s4, p), vload_half((i).s5, p), vload_half((i).s6, p), vload_half((i).s7, p)))
+
+/* Halves of any place. PoCL 3.1 takes the places that vload_half8 and vload_half16 get for aligned ones, as copies are.
+ */
+INLINE float8 load_halfs8(__global const half *p) {
+    const ushort8 bits = vload8(0, (__global const ushort *)p);
+    return vload_half8(0, (const half *)&bits);
+}
+
+INLINE float16 load_halfs16(__global const half *p) {
+    const ushort16 bits = vload16(0, (__global const ushort *)p);
+    return vload_half16(0, (const half *)&bits);
+}
 
 INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     const float16 xy = vload16(0, (__global const float *)p);
@@ -69,6 +89,7 @@ INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) {
 #else
 
 #define WIDE
+#define LISTS __attribute__((reqd_work_group_size(16, 8, 1)))
 typedef float Floats;
 typedef int Ints;     /* of conditions: 1 or 0 */
 typedef uint Uints;
@@ -92,8 +113,13 @@ typedef uchar Bytes;
 typedef float2 Pairs;
 typedef uchar2 BytePairs;
 #define load_pairs(p) vload2(0, p)
+#define load_half_pairs(p) vload_half2(0, p)
+#define EVEN_OF(first, second) (first)
+#define ODD_OF(first, second) (second)
 #define load_left_taps(p) ((p)[0])
 #define load_right_taps(p) ((p)[1])
+#define load_doubled(p) ((p)[0])
+#define load_in_turns(p, q, x) (((x) & 1 ? q : p)[(x) / 2])
 #define LANE_NUMBERS 0
 #define ALL_LANES 1
 #define FIRST_LANE(v) (v)
@@ -125,6 +151,7 @@ INLINE int int_of(const Ints *v, const int k) { return ((const int *)v)[k]; }
 INLINE uint uint_of(const Uints *v, const int k) { return ((const uint *)v)[k]; }
 INLINE uchar byte_of(const Bytes *v, const int k) { return ((const uchar *)v)[k]; }
 INLINE void set_float(Floats *v, const int k, const float number) { ((float *)v)[k] = number; }
+INLINE void set_byte(Bytes *v, const int k, const uchar number) { ((uchar *)v)[k] = number; }
 
 /* The lesser and the greater of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN.
    If one is NaN, `wide_lesser` gives the second and `wide_greater` the first. */

@@ -7,14 +7,18 @@ typedef struct {
     Floats x, y, z, w;
 } Wide4;
 
+INLINE Wide4 channels_of_strip(const Strip *s) {
+    Floats c[4];
+    channels_of(s, c);
+    const Wide4 channels = {c[0], c[1], c[2], c[3]};
+    return channels;
+}
+
 /* float4 of each lane, as they lie in memory -> channels, and back into the first `count` pixels of a row. */
 INLINE Wide4 channels_in(const float *texels) {
     Strip s;
-    Floats c[4];
     for (int part = 0; part < PARTS; ++part) s.part[part] = reload_texels(part, texels);
-    channels_of(&s, c);
-    const Wide4 channels = {c[0], c[1], c[2], c[3]};
-    return channels;
+    return channels_of_strip(&s);
 }
 
 INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
@@ -24,19 +28,8 @@ INLINE void store_channels(const Wide4 c, const int count, __global half *image)
 /* The four channels of the pixels i. */
 INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
     Strip s;
-#if LANES == 8
-    __global const ulong *texels = (__global const ulong *)image;  /* a texel each */
-    const ulong4 left = (ulong4)(texels[i.s0], texels[i.s1], texels[i.s2], texels[i.s3]);
-    const ulong4 right = (ulong4)(texels[i.s4], texels[i.s5], texels[i.s6], texels[i.s7]);
-    s.part[0] = vload_half16(0, (const half *)&left);
-    s.part[1] = vload_half16(0, (const half *)&right);
-#else
-    s.part[0] = load_texel(i, image);
-#endif
-    Floats c[4];
-    channels_of(&s, c);
-    const Wide4 channels = {c[0], c[1], c[2], c[3]};
-    return channels;
+    gather_strip(image, i, &s);
+    return channels_of_strip(&s);
 }
 
 /* The x and y of float2 that lie at i. */

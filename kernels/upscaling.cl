@@ -136,8 +136,7 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
     const int has_history = frame->has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (x >= source_width || y >= source_height) return;
-    const Span p = {x, y, source_width, source_height,
-                    x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
+    const Span p = span_at(x, y, source_width, source_height);
     Ints near_x, near_y;
     const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
     const Ints nearest = near_y * source_width + near_x;
@@ -204,8 +203,7 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (x >= source_width || y >= source_height) return;
-    const Span p = {x, y, source_width, source_height,
-                    x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
+    const Span p = span_at(x, y, source_width, source_height);
     const float ninth = 1.0f / 9.0f;
     Floats middle[4], square[4], off[4], off_square[4], variance[3];
     sums_beside(p, compressed, middle, square);
@@ -358,8 +356,7 @@ WIDE __kernel void generate(__constant Frame *restrict frame, const int correcte
     const float4 to_shown = frame->to_display;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
     if (x >= target_width || y >= target_height) return;
-    const Span p = {x, y, target_width, target_height,
-                    x >= 1 && y >= 1 && x + LANES < target_width && y + 1 < target_height};
+    const Span p = span_at(x, y, target_width, target_height);
     Ints near_x, near_y;
     const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
     const Ints nearest = near_y * target_width + near_x;
