@@ -167,15 +167,7 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
                               __global int *reached_by) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments fragments = {.depth = depth,
-                                 .target_position = target_position,
-                                 .links = links,
-                                 .width = source_width,
-                                 .height = source_height,
-                                 .plane = source_width * source_height,
-                                 .target_width = target_width,
-                                 .target_height = target_height,
-                                 .zoom = frame->zoom};
+    const Fragments fragments = fragments_of(frame, depth, target_position, links);
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
     if (bx >= source_blocks || by >= block_rows(source_height)) return;

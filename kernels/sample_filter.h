@@ -1,5 +1,6 @@
 /* Weighted sums of the 3x3 rendered samples around pixels of the display (upscaling.cl). */
 
+/* What set it: docs/upscaling.md, "Figures". */
 #define FILTER_REACH 1.2f            /* display pixels: from where on a sample does not count */
 
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */

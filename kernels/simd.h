@@ -22,10 +22,8 @@ typedef uchar8 Bytes;
 #define ALL(condition) all(condition)
 #define load_floats vload8
 #define load_bytes vload8
-#define load_ints(i, p) vload8(i, p)
 #define load_uints(i, p) vload8(i, p)
 #define store_floats vstore8
-#define store_ints vstore8
 #define store_bytes vstore8
 #define store_halfs(v, i, p) vstore_half8_rte(v, i, p)
 #define to_floats convert_float8
@@ -59,9 +57,6 @@ typedef uchar16 BytePairs;
     ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
-#define gather_halfs(p, i)                                                                                             \
-    ((float8)(vload_half((i).s0, p), vload_half((i).s1, p), vload_half((i).s2, p), vload_half((i).s3, p),              \
-              vload_half((i).s4, p), vload_half((i).s5, p), vload_half((i).s6, p), vload_half((i).s7, p)))
 
 /* Halves of any place. PoCL 3.1 takes the places that vload_half8 and vload_half16 get for aligned ones, as copies are.
  */
@@ -98,10 +93,8 @@ typedef uchar Bytes;
 #define ALL(condition) ((condition) != 0)
 #define load_floats(i, p) ((p)[i])
 #define load_bytes(i, p) ((p)[i])
-#define load_ints(i, p) ((p)[i])
 #define load_uints(i, p) ((p)[i])
 #define store_floats(v, i, p) ((p)[i] = (v))
-#define store_ints(v, i, p) ((p)[i] = (v))
 #define store_bytes(v, i, p) ((p)[i] = (v))
 #define store_halfs(v, i, p) vstore_half_rte(v, i, p)
 #define to_floats convert_float
@@ -126,7 +119,6 @@ typedef uchar2 BytePairs;
 #define LAST_LANE(v) (v)
 #define gather_floats(p, i) ((p)[i])
 #define gather_bytes(p, i) ((p)[i])
-#define gather_halfs(p, i) vload_half(i, p)
 
 INLINE float8 load_two_texels(const int i, __global const half *image) {
     return (float8)(load_texel(i, image), load_texel(i + 1, image));

@@ -1,4 +1,4 @@
-/* LANES pixels of an image and their surroundings (silhouettes.cl). */
+/* LANES pixels of an image and their surroundings. */
 
 #include "simd_rgb.h"
 

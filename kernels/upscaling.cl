@@ -20,6 +20,7 @@
 #include "simd_texels.h"
 #include "sample_filter.h"
 
+/* What set the thresholds: docs/upscaling.md, "Figures". */
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
 /* LEAST_SHOWN: of the displayed color until samples arrive; with a lighter history, samples count less, too */

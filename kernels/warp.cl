@@ -142,15 +142,7 @@ WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __glo
                          __global uint *winners, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
     if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = 0;
-    const Fragments from = {.depth = depth,
-                            .target_position = target_position,
-                            .links = links,
-                            .width = width,
-                            .height = height,
-                            .plane = width * height,
-                            .target_width = frame->target_width,
-                            .target_height = frame->target_height,
-                            .zoom = frame->zoom};
+    const Fragments from = fragments_of(frame, depth, target_position, links);
     const Winners to = {keys, winners};
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
     if (src_x >= width || src_y >= height) return;
@@ -394,15 +386,7 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global uchar *filled_by, __global uchar *mixed, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments from = {.depth = depth,
-                            .target_position = target_position,
-                            .links = links,
-                            .width = width,
-                            .height = height,
-                            .plane = width * height,
-                            .target_width = target_width,
-                            .target_height = target_height,
-                            .zoom = frame->zoom};
+    const Fragments from = fragments_of(frame, depth, target_position, links);
     const Rendered shown = {
         .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
     const Winners winning = {keys, winners};
