@@ -4,8 +4,8 @@
    and the same surface, there or where it comes to, has clearly another color. Over PAIRS pairs of frames, in which
    the place never changes, and with others around, that is a user interface.
 
-   in   rendered and previous color, depth   rendered motion   given_mask: of the caller
-   out   evidence: pairs that gave some   mask: 1 where the rendered pixel stays in place */
+   `evidence` counts the pairs that gave some, `given_mask` is the caller's, `mask` is 1 where the rendered pixel stays
+   in place. */
 
 #include "frame.h"
 

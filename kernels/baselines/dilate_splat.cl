@@ -7,10 +7,7 @@
    warp: each pixel looks its color up backward along its vector, bilinear. A pixel without one takes that of the
    nearest surface beside: what a surface uncovers is what was seen beside it. Else it keeps the rendered frame's own.
 
-   name      image    what in         color, depth, motion      of the rendered frame
-   keys,
-   winners            what the splat leaves: the least depth that reached each pixel, and its word
-   out_color          linear: the new frame */
+   `keys` and `winners` are what the splat leaves: the least depth that reached each pixel, and its word. */
 
 #include "../common.h"
 #include "../simd_texels.h"
