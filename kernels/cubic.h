@@ -17,11 +17,6 @@ INLINE void leave_out_corners(Floats *wx, const Floats *wy) {
     for (int k = 0; k < 4; ++k) wx[k] *= scale;
 }
 
-/* The four weights of lane k. */
-INLINE float4 weights_of_lane(const Floats *w, const int k) {
-    return (float4)(float_of(&w[0], k), float_of(&w[1], k), float_of(&w[2], k), float_of(&w[3], k));
-}
-
 /* The pixels of a part, whose taps lie in a row from index `first` on, clamped to the four inner taps. Of finite
    numbers. A column at a time: all of them at once take 48 registers of a GPU. */
 INLINE Texels cubic_of_run(const int first, const Floats *wx, const Floats *wy, const int part, const int width,
@@ -45,15 +40,23 @@ INLINE Texels cubic_of_run(const int first, const Floats *wx, const Floats *wy, 
     return high < raised ? high : raised;
 }
 
-/* The same of one pixel from its rows of taps, of which the first and the last begin at the second tap: CPUs' way. */
-INLINE float4 cubic_of_rows(const float8 a, const float16 b, const float16 c, const float8 d, const float4 wx,
-                            const float4 wy) {
-    const float16 columns = wy.y * b + wy.z * c;
-    const float8 inner = columns.s456789ab + (wy.x * a + wy.w * d);
-    const float4 sum = wx.x * columns.s0123 + wx.y * inner.lo + wx.z * inner.hi + wx.w * columns.scdef;
-    const float8 least = b.s456789ab < c.s456789ab ? b.s456789ab : c.s456789ab,
-                 most = b.s456789ab < c.s456789ab ? c.s456789ab : b.s456789ab;
-    const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
-    const float4 raised = sum < low ? low : sum;
+/* The same of the pixel of lane k from taps in any columns and rows, which begin at indices `rows`. */
+INLINE float4 cubic_of_lane(const int *columns, const int *rows, const Floats *wx, const Floats *wy, const int k,
+                            __global const half *image) {
+    float4 total = (float4)(0.0f), low = total, high = total;
+#pragma unroll
+    for (int tx = 0; tx < 4; ++tx) {
+        const float4 b = load_texel(rows[1] + columns[tx], image), c = load_texel(rows[2] + columns[tx], image);
+        float4 column = float_of(&wy[1], k) * b + float_of(&wy[2], k) * c;
+        if (tx == 1 || tx == 2) {
+            const float4 a = load_texel(rows[0] + columns[tx], image), d = load_texel(rows[3] + columns[tx], image);
+            column += float_of(&wy[0], k) * a + float_of(&wy[3], k) * d;
+            const float4 lower = b < c ? b : c, higher = b < c ? c : b;
+            low = tx == 1 ? lower : low < lower ? low : lower;
+            high = tx == 1 ? higher : high < higher ? higher : high;
+        }
+        total = tx == 0 ? float_of(&wx[0], k) * column : total + float_of(&wx[tx], k) * column;
+    }
+    const float4 raised = total < low ? low : total;
     return high < raised ? high : raised;
 }

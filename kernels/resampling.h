@@ -42,15 +42,6 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
     s->v = dy - oy;
 }
 
-/* The code of one pixel's color, cubic, of the taps from index `first` on. */
-INLINE float3 cubic_code(const int first, const float4 wx, const float4 wy, const int width,
-                         __global const half *codes) {
-    return cubic_of_rows(load_two_texels(first + 1, codes), load_four_texels(first + width, codes),
-                         load_four_texels(first + 2 * width, codes), load_two_texels(first + 3 * width + 1, codes), wx,
-                         wy)
-        .xyz;
-}
-
 /* Stores the colors of the lanes in `use`: a pixel of the rendered frame keeps its bits; cubic where the neighborhood
    moves alike; else bilinear over those of the four taps that move alike. A part whose taps lie in a row is made at
    once, others pixel by pixel. */
@@ -79,15 +70,16 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
             if (!int_of(&use, k)) continue;
             const int tap = int_of(&s.tap, k), src = int_of(&s.src, k);
             float3 c;
-            if (LANES > 1 && int_of(&exact, k))
+            if (LANES > 1 && int_of(&exact, k)) {
                 c = load_color(shown.color, src);
-            else if (LANES > 1 && int_of(&whole, k))
-                c = decode_color(cubic_code(tap - source_width - 1, weights_of_lane(wx, k), weights_of_lane(wy, k),
-                                            source_width, shown.codes),
-                                 shown.code_offset);
-            else
+            } else if (LANES > 1 && int_of(&whole, k)) {
+                const int columns[4] = {tap - 1, tap, tap + 1, tap + 2};
+                const int rows[4] = {-source_width, 0, source_width, 2 * source_width};
+                c = decode_color(cubic_of_lane(columns, rows, wx, wy, k, shown.codes).xyz, shown.code_offset);
+            } else {
                 c = of_those_alike(int_of(&s.alike, k), tap, float_of(&s.u, k), float_of(&s.v, k), source_width, src,
                                    shown);
+            }
             store_color(c, out_color, dst + k);
         }
     }

@@ -65,38 +65,6 @@ INLINE float8 two_texels(__global const half *image, const int x, const int y, c
                     load_texel(row + clamp(x + 1, 0, width - 1), image));
 }
 
-/* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
-INLINE float4 clamped_cubic(const int x, const int y, const float4 wx, const float4 wy, const int width,
-                            const int height, __global const half *image) {
-#if LANES == 8
-    const float8 above = two_texels(image, x + 1, y, width, height),
-                 below = two_texels(image, x + 1, y + 3, width, height);
-    const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);
-    return cubic_of_rows(above, b, c, below, wx, wy);
-#else  /* a column at a time: all of them at once take 48 registers */
-    const int row_b = clamp(y + 1, 0, height - 1) * width, row_c = clamp(y + 2, 0, height - 1) * width;
-    float4 sum = (float4)(0.0f), low = sum, high = sum;
-#pragma unroll
-    for (int tx = 0; tx < 4; ++tx) {
-        const int column_x = clamp(x + tx, 0, width - 1);
-        const float4 b = load_texel(row_b + column_x, image), c = load_texel(row_c + column_x, image);
-        float4 column = wy.y * b + wy.z * c;
-        if (tx == 1 || tx == 2) {
-            const float4 above = load_texel(clamp(y, 0, height - 1) * width + column_x, image);
-            const float4 below = load_texel(clamp(y + 3, 0, height - 1) * width + column_x, image);
-            column += wy.x * above + wy.w * below;
-            const float4 lower = b < c ? b : c, higher = b < c ? c : b;
-            low = tx == 1 ? lower : low < lower ? low : lower;
-            high = tx == 1 ? higher : high < higher ? higher : high;
-        }
-        const float weight = tx == 0 ? wx.x : tx == 1 ? wx.y : tx == 2 ? wx.z : wx.w;
-        sum = tx == 0 ? weight * column : sum + weight * column;
-    }
-    const float4 raised = sum < low ? low : sum;
-    return high < raised ? high : raised;
-#endif
-}
-
 /* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is
    sharper. */
 INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
@@ -131,9 +99,14 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
         }
         for (int k = lane; k < lane + TEXELS; ++k) {
             float4 c = (float4)(0.0f);
-            if (int_of(&use, k))
-                c = clamped_cubic(int_of(&x, k), int_of(&y, k), weights_of_lane(wx, k), weights_of_lane(wy, k), width,
-                                  height, image);
+            if (int_of(&use, k)) { /* beyond the image its border is repeated */
+                int columns[4], rows[4];
+                for (int tap = 0; tap < 4; ++tap) {
+                    columns[tap] = clamp(int_of(&x, k) + tap, 0, width - 1);
+                    rows[tap] = clamp(int_of(&y, k) + tap, 0, height - 1) * width;
+                }
+                c = cubic_of_lane(columns, rows, wx, wy, k, image);
+            }
             vstore4(c, k, texels);
         }
     }
