@@ -4,17 +4,14 @@
 
 /* Four channels of each lane. */
 typedef struct {
-    Floats c[4];
+    Floats x, y, z, w;
 } Wide4;
-#define NO_CHANNELS                                                                                                    \
-    {                                                                                                                  \
-        { (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f) }                                             \
-    }
 
 INLINE Wide4 channels_of_strip(const Strip *s) {
-    Wide4 all;
-    channels_of(s, all.c);
-    return all;
+    Floats c[4];
+    channels_of(s, c);
+    const Wide4 channels = {c[0], c[1], c[2], c[3]};
+    return channels;
 }
 
 /* float4 of each lane, as they lie in memory -> channels, and back into the first `count` pixels of a row. */
@@ -25,7 +22,7 @@ INLINE Wide4 channels_in(const float *texels) {
 }
 
 INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
-    store_strip(strip_of(c.c[0], c.c[1], c.c[2], c.c[3]), count, image);
+    store_strip(strip_of(c.x, c.y, c.z, c.w), count, image);
 }
 
 /* The four channels of the pixels i. */

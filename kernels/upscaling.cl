@@ -41,29 +41,23 @@
 #define MOST_ERROR 1000.0f /* deviations; half has room for it */
 #define NOT_NEARER 0.96f /* relative depth from which on it is the same surface */
 
-INLINE Wide4 finite_channels(Wide4 c) {
-    for (int k = 0; k < 4; ++k) c.c[k] = finite(c.c[k]);
+/* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
+INLINE Wide4 compressed_of(const Floats r, const Floats g, const Floats b, const float exposure) {
+    const Floats c_r = wide_greater(r, (Floats)(0.0f)) * exposure, c_g = wide_greater(g, (Floats)(0.0f)) * exposure,
+                 c_b = wide_greater(b, (Floats)(0.0f)) * exposure;
+    const Floats scale = wide_divide((Floats)(1.0f), 1.0f + wide_greater(c_r, wide_greater(c_g, c_b)));
+    const Floats green = 0.5f * c_g, others = 0.25f * (c_r + c_b);
+    const Wide4 c = {(others + green) * scale, (0.5f * (c_r - c_b)) * scale, (green - others) * scale, (Floats)(0.0f)};
     return c;
 }
 
-/* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
-INLINE Wide4 compressed_of(const Wide4 color, const float exposure) {
-    Floats c[3];
-    for (int k = 0; k < 3; ++k) c[k] = wide_greater(color.c[k], (Floats)(0.0f)) * exposure;
-    const Floats scale = wide_divide((Floats)(1.0f), 1.0f + wide_greater(c[0], wide_greater(c[1], c[2])));
-    const Floats green = 0.5f * c[1], others = 0.25f * (c[0] + c[2]);
-    const Wide4 made = {
-        {(others + green) * scale, (0.5f * (c[0] - c[2])) * scale, (green - others) * scale, (Floats)(0.0f)}};
-    return made;
-}
-
 INLINE Wide4 expanded(const Wide4 c, const float exposure) {
-    const Floats rest = c.c[0] - c.c[2];
-    Wide4 rgb = {{rest + c.c[1], c.c[0] + c.c[2], rest - c.c[1], c.c[3]}};
-    for (int k = 0; k < 3; ++k) rgb.c[k] = wide_greater(rgb.c[k], (Floats)(0.0f));
-    const Floats most = 1.0f - wide_greater(rgb.c[0], wide_greater(rgb.c[1], rgb.c[2]));
-    const Floats scale = wide_divide((Floats)(1.0f), wide_greater(most, (Floats)(1e-4f)) * exposure);
-    for (int k = 0; k < 3; ++k) rgb.c[k] = wide_lesser(rgb.c[k] * scale, (Floats)(COLOR_MAX));
+    const Floats none = 0.0f, rest = c.x - c.z;
+    const Floats r = wide_greater(rest + c.y, none), g = wide_greater(c.x + c.z, none),
+                 b = wide_greater(rest - c.y, none);
+    const Floats most = 1.0f - wide_greater(r, wide_greater(g, b));
+    const Floats scale = wide_divide((Floats)(1.0f), wide_greater(most, (Floats)(1e-4f)) * exposure), top = COLOR_MAX;
+    const Wide4 rgb = {wide_lesser(r * scale, top), wide_lesser(g * scale, top), wide_lesser(b * scale, top), c.w};
     return rgb;
 }
 
@@ -108,8 +102,8 @@ INLINE Floats share_seen(const Floats px_x, const Floats px_y, const Floats expe
     return met ? seen : (Floats)(0.0f);
 }
 
-/* A color within the least and the most of the 2x2 texels of an image around px. */
-INLINE Wide4 within_range(Wide4 color, const Floats px_x, const Floats px_y, const int width, const int height,
+/* c within the least and the most of the 2x2 texels of an image around px. */
+INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, const int width, const int height,
                           __global const half *image) {
     const Ints left = to_ints(floor(px_x - 0.5f)), top = to_ints(floor(px_y - 0.5f));
     float low[4 * LANES], high[4 * LANES];
@@ -121,8 +115,9 @@ INLINE Wide4 within_range(Wide4 color, const Floats px_x, const Floats px_y, con
         vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);
     }
     const Wide4 l = channels_in(low), h = channels_in(high);
-    for (int k = 0; k < 3; ++k) color.c[k] = wide_lesser(wide_greater(color.c[k], l.c[k]), h.c[k]);
-    return color;
+    const Wide4 clamped = {wide_lesser(wide_greater(c.x, l.x), h.x), wide_lesser(wide_greater(c.y, l.y), h.y),
+                           wide_lesser(wide_greater(c.z, l.z), h.z), c.w};
+    return clamped;
 }
 
 /* Writes, for each rendered pixel, where its surroundings were, and the distance of its color from the history there.
@@ -158,19 +153,23 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
                        source_height, previous_depth);
         seen = z > 0.0f ? share : (Floats)(0.0f);
     }
-    const Wide4 own = finite_channels(gather_channels(color, clamped_beside(p, 0, 0)));
-    Wide4 here = compressed_of(own, exposure), surprise = NO_CHANNELS;
+    const Wide4 raw = gather_channels(color, clamped_beside(p, 0, 0));
+    const Wide4 own = {finite(raw.x), finite(raw.y), finite(raw.z), (Floats)(0.0f)};
+    Wide4 here = compressed_of(own.x, own.y, own.z, exposure),
+          surprise = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
     const Ints known = seen > 0.0f;
     if (ANY(known)) {
         const Floats px_x = (row_centers(x) + moved_x) * to_previous_display.x + to_previous_display.z;
         const Floats px_y = ((float)y + 0.5f + moved_y) * to_previous_display.y + to_previous_display.w;
         const Wide4 like = within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f), target_width,
                                         target_height, history);
-        const Wide4 foretold = compressed_of(like, exposure);
-        for (int k = 0; k < 3; ++k) surprise.c[k] = known ? here.c[k] - foretold.c[k] : (Floats)(0.0f);
-        surprise.c[3] = known ? (Floats)(1.0f) : (Floats)(0.0f);
+        const Wide4 foretold = compressed_of(like.x, like.y, like.z, exposure);
+        surprise.x = known ? here.x - foretold.x : (Floats)(0.0f);
+        surprise.y = known ? here.y - foretold.y : (Floats)(0.0f);
+        surprise.z = known ? here.z - foretold.z : (Floats)(0.0f);
+        surprise.w = known ? (Floats)(1.0f) : (Floats)(0.0f);
     }
-    here.c[3] = seen;
+    here.w = seen;
     store_channels(here, count, out_compressed + 4 * i);
     store_some_xy(moves ? moved_x : (Floats)(NAN), moves ? moved_y : (Floats)(NAN), count, out_dilated + i);
     store_channels(surprise, count, out_surprise + 4 * i);
@@ -220,8 +219,8 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
         (off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
     const Floats error =
         wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + COMPRESSED_NOISE * COMPRESSED_NOISE));
-    const Wide4 of_mean = {{middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))}};
-    const Wide4 deviation = {{wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift}};
+    const Wide4 of_mean = {middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))};
+    const Wide4 deviation = {wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift};
     store_channels(of_mean, count, out_mean + 4 * i);
     store_channels(deviation, count, out_deviation + 4 * i);
 }
@@ -230,13 +229,16 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
    channel. */
 INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room,
                      const float exposure) {
-    Wide4 past = compressed_of(found, exposure);
-    const Floats gain = wide_divide(wide_greater(past.c[0] + around.c[3], (Floats)(0.0f)), past.c[0] + 1e-4f);
-    for (int k = 0; k < 3; ++k) {
-        const Floats room = DEVIATIONS * around.c[k] + (COMPRESSED_NOISE + more_room);
-        past.c[k] = wide_lesser(wide_greater(past.c[k] * gain, mean.c[k] - room), mean.c[k] + room);
-    }
-    past.c[3] = found.c[3];
+    Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
+    const Floats gain = wide_divide(wide_greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
+    before.x *= gain;
+    before.y *= gain;
+    before.z *= gain;
+    const Floats room = COMPRESSED_NOISE + more_room, room_x = DEVIATIONS * around.x + room,
+                 room_y = DEVIATIONS * around.y + room, room_z = DEVIATIONS * around.z + room;
+    const Wide4 past = {wide_lesser(wide_greater(before.x, mean.x - room_x), mean.x + room_x),
+                        wide_lesser(wide_greater(before.y, mean.y - room_y), mean.y + room_y),
+                        wide_lesser(wide_greater(before.z, mean.z - room_z), mean.z + room_z), found.w};
     return past;
 }
 
@@ -271,7 +273,7 @@ INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, c
     const Floats rest = wide_divide((Floats)(1.0f), 1.0f + UNREST * motion * motion);
     const Wide4 middle = gather_channels(past.mean, src), around = gather_channels(past.deviation, src);
     const Floats trust =
-        wide_greater(1.0f - wide_divide(middle.c[3], WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
+        wide_greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
     const Floats before = to_floats(gather_bytes(past.lock, to_ints(at_y) * width + to_ints(at_x)));
     const Ints rests = known & (motion < AT_REST);
     r->locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
@@ -279,7 +281,7 @@ INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, c
     r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SHARP_SLOPE, past.history),
                        middle, around, thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
     r->believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
-    r->held = wide_lesser(r->color.c[3] * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
+    r->held = wide_lesser(r->color.w * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
 }
 
 /* The rendered frame into the history. */
@@ -321,21 +323,23 @@ WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const h
     px_previous[1] = (px_y + moved_y) * to_previous_display.y + to_previous_display.w;
     const Ints known =
         within(px_previous[0], px_previous[1], target_width, target_height) & ((Ints)(frame->has_previous) != 0);
-    Recalled r = {NO_CHANNELS, none, none, none};
-    if (ANY(known)) recall(frame, past, px, known, px_previous, src, fresh.c[3] * per_far, &r);
+    Recalled r = {{none, none, none, none}, none, none, none};
+    if (ANY(known)) recall(frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
 
     /* Without confidence the interpolated frame replaces it; single samples would be dots in a grid. */
     const Floats kept = wide_lesser(r.held * (1.0f / LEAST_SHOWN), (Floats)(1.0f));
     const Floats counted = known ? kept : (Floats)(1.0f), share = FRESH * (1.0f - kept);
+    const Wide4 now = {fresh.x * per_far, fresh.y * per_far, fresh.z * per_far, fresh.w};
+    r.color.x = known ? r.color.x + (now.x - r.color.x) * share : now.x;
+    r.color.y = known ? r.color.y + (now.y - r.color.y) * share : now.y;
+    r.color.z = known ? r.color.z + (now.z - r.color.z) * share : now.z;
     const Floats held = wide_greater(r.held, (Floats)(LEAST_SHOWN));
     total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);
-    for (int k = 0; k < 3; ++k) {
-        const Floats now = fresh.c[k] * per_far, was = r.color.c[k];
-        const Floats shown = known ? was + (now - was) * share : now;
-        sum.c[k] = (counted * sum.c[k] + held * shown) * scale;
-    }
-    sum.c[3] = wide_lesser(total, (Floats)(MOST_WEIGHT));
+    sum.x = (counted * sum.x + held * r.color.x) * scale;
+    sum.y = (counted * sum.y + held * r.color.y) * scale;
+    sum.z = (counted * sum.z + held * r.color.z) * scale;
+    sum.w = wide_lesser(total, (Floats)(MOST_WEIGHT));
     store_channels(expanded(sum, frame->exposure), count, out_history + 4 * dst);
     store_some_bytes(to_bytes(to_ints(r.locked)), count, out_lock + dst);
     store_some_bytes(to_bytes(to_ints(255.0f * (1.0f - r.believed) + 0.5f)), count, rejected + dst);
@@ -365,13 +369,21 @@ WIDE __kernel void generate(__constant Frame *restrict frame, const int correcte
     Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, SHARP_SLOPE, history);
     const Ints own_i = clamped_beside(p, 0, 0);
     Wide4 own = shown;
-    if (corrected || !ALL(seen)) own = finite_channels(gather_channels(color, own_i));
-    if (corrected) {
-        const Wide4 before = finite_channels(gather_channels(gae, own_i));
-        for (int k = 0; k < 3; ++k) shown.c[k] += own.c[k] - before.c[k];
+    if (corrected || !ALL(seen)) {
+        const Wide4 raw = gather_channels(color, own_i);
+        own.x = finite(raw.x);
+        own.y = finite(raw.y);
+        own.z = finite(raw.z);
     }
-    Wide4 out = NO_CHANNELS;
-    for (int k = 0; k < 3; ++k)
-        out.c[k] = seen ? wide_lesser(wide_greater(shown.c[k], (Floats)(0.0f)), (Floats)(COLOR_MAX)) : own.c[k];
+    if (corrected) {
+        const Wide4 before = gather_channels(gae, own_i);
+        shown.x += own.x - finite(before.x);
+        shown.y += own.y - finite(before.y);
+        shown.z += own.z - finite(before.z);
+    }
+    const Floats none = 0.0f, top = COLOR_MAX;
+    const Wide4 out = {seen ? wide_lesser(wide_greater(shown.x, none), top) : own.x,
+                       seen ? wide_lesser(wide_greater(shown.y, none), top) : own.y,
+                       seen ? wide_lesser(wide_greater(shown.z, none), top) : own.z, none};
     store_channels(out, count, out_color + 4 * i);
 }
