@@ -16,9 +16,10 @@
 #define BEND_MOST 0.5f
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define SLOWS 1.5f /* times the share that there was before: what counts of it where a mover slows down */
-/* SPEEDS: a mover speeds up where the cosine between acceleration and velocity is above the root of this. Its
-   acceleration counts less if there was more of it before, and no more from twice as much on. */
-#define SPEEDS 0.25f
+/* SPEEDS: a mover speeds up where the squared cosine between acceleration and velocity is above this. Its acceleration
+   counts less if there was over SHRINKS - 1 times as much of it before, and not at all if there was SHRINKS times. */
+#define SPEEDS 0.5f
+#define SHRINKS 3.0f
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
 /* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
    the world ... */
@@ -107,7 +108,7 @@ INLINE float lasted(const float3 velocity, const float3 acceleration, const floa
     const float share = divide(product_of(acceleration, before), size);
     if (along < 0.0f) return clamp(SLOWS * share, 0.0f, 1.0f);
     const bool speeds = along * along > SPEEDS * size * squared_length(velocity);
-    return clamp(speeds ? fmin(share, 4.0f - 2.0f * share) : share, 0.0f, 1.0f);
+    return clamp(speeds ? fmin(share, SHRINKS - share) : share, 0.0f, 1.0f);
 }
 
 /* Weight of an acceleration, 0 to 1: `share` of it, and less where it bends the path sharply. */

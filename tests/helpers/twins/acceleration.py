@@ -30,7 +30,7 @@ def _lasted(velocity, found, before):
     if along < 0:
         share = F(ACCELERATION.SLOWS) * share
     elif along * along > F(ACCELERATION.SPEEDS) * size * (velocity * velocity).sum():
-        share = min(share, 4 - 2 * share)
+        share = min(share, F(ACCELERATION.SHRINKS) - share)
     return np.clip(share, F(0), F(1))
 
 
