@@ -1,9 +1,8 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
-   only as much of it counts as there was an interval before, and a share where that is not known. A mover that slows
-   down is believed sooner; one that speeds up, but less than before, has nearly reached its speed. On arcs acceleration
-   turns: its own change goes on, too. Cells without a mover are skipped. Some movers are carried by the camera, as
+   only as much of it counts as there was an interval before, and a share where that is not known. More
+   counts where a mover slows down. On arcs acceleration turns: its own change goes on, too. Cells without a mover are skipped. Some movers are carried by the camera, as
    wipers and hands are: where velocity in view space has changed less since the frame before than that in the world,
    velocity and acceleration go on in view space. */
 
@@ -16,10 +15,6 @@
 #define BEND_MOST 0.5f
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define SLOWS 1.5f /* times the share that there was before: what counts of it where a mover slows down */
-/* SPEEDS: a mover speeds up where the squared cosine between acceleration and velocity is above this. Its acceleration
-   counts less if there was over SHRINKS - 1 times as much of it before, and not at all if there was SHRINKS times. */
-#define SPEEDS 0.5f
-#define SHRINKS 3.0f
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
 /* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
    the world ... */
@@ -101,14 +96,12 @@ INLINE float product_of(const float3 a, const float3 b) {
 
 INLINE float squared_length(const float3 v) { return product_of(v, v); }
 
-/* The share of an acceleration that goes on, 0 to 1, by what there was of it an interval before. */
+/* The share of an acceleration that goes on, 0 to 1: what there was of it an interval before, and more of it where a
+   mover slows down. */
 INLINE float lasted(const float3 velocity, const float3 acceleration, const float3 before) {
-    const float size = squared_length(acceleration), along = product_of(acceleration, velocity);
-    if (!(size > 0.0f)) return 0.0f;
-    const float share = divide(product_of(acceleration, before), size);
-    if (along < 0.0f) return clamp(SLOWS * share, 0.0f, 1.0f);
-    const bool speeds = along * along > SPEEDS * size * squared_length(velocity);
-    return clamp(speeds ? fmin(share, SHRINKS - share) : share, 0.0f, 1.0f);
+    const float size = squared_length(acceleration);
+    const float share = size > 0.0f ? divide(product_of(acceleration, before), size) : 0.0f;
+    return clamp(product_of(acceleration, velocity) < 0.0f ? SLOWS * share : share, 0.0f, 1.0f);
 }
 
 /* Weight of an acceleration, 0 to 1: `share` of it, and less where it bends the path sharply. */

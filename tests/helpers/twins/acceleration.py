@@ -23,15 +23,9 @@ def _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth):
 
 
 def _lasted(velocity, found, before):
-    size, along = (found * found).sum(), (found * velocity).sum()
-    if not size > 0:
-        return F(0)
-    share = (found * before).sum() / size
-    if along < 0:
-        share = F(ACCELERATION.SLOWS) * share
-    elif along * along > F(ACCELERATION.SPEEDS) * size * (velocity * velocity).sum():
-        share = min(share, F(ACCELERATION.SHRINKS) - share)
-    return np.clip(share, F(0), F(1))
+    size = (found * found).sum()
+    share = (found * before).sum() / size if size > 0 else F(0)
+    return np.clip(share * F(ACCELERATION.SLOWS) if (found * velocity).sum() < 0 else share, F(0), F(1))
 
 
 def _trust(velocity, found, share):
