@@ -1,10 +1,10 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
-   only as much of it counts as there was an interval before, and a share where that is not known. More
-   counts where a mover slows down. On arcs acceleration turns: its own change goes on, too. Cells without a mover are skipped. Some movers are carried by the camera, as
-   wipers and hands are: where velocity in view space has changed less since the frame before than that in the world,
-   velocity and acceleration go on in view space. */
+   only as much of it counts as there was an interval before, and a share where that is not known; more where the mover
+   slows down. On arcs acceleration turns: its own change goes on, too. Cells without a mover are skipped. Some movers
+   are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
+   before than that in the world, velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
