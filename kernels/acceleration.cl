@@ -1,10 +1,10 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
-   only as much of it counts as there was an interval before, and a share where that is not known. On arcs acceleration
-   turns: its own change goes on, too. Cells without a mover are skipped. Some movers are carried by the camera, as
-   wipers and hands are: where velocity in view space has changed less since the frame before than that in the world,
-   velocity and acceleration go on in view space. */
+   only as much of it counts as there was an interval before, and a share where that is not known; more where the mover
+   slows down. On arcs acceleration turns: its own change goes on, too. Cells without a mover are skipped. Some movers
+   are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
+   before than that in the world, velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
@@ -14,6 +14,7 @@
 /* BEND_MOST: an acceleration of more than this share of the velocity counts less, the more the larger it is */
 #define BEND_MOST 0.5f
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
+#define SLOWS 1.5f /* times the share that there was before: what counts of it where a mover slows down */
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
 /* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
    the world ... */
@@ -88,16 +89,19 @@ INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame 
     return mover;
 }
 
-INLINE float squared_length(const float3 v) {
-    const float3 squares = v * v;
-    return squares.x + squares.y + squares.z;
+INLINE float product_of(const float3 a, const float3 b) {
+    const float3 products = a * b;
+    return products.x + products.y + products.z;
 }
 
-/* The share of an acceleration that existed an interval before, 0 to 1. */
-INLINE float lasted(const float3 acceleration, const float3 before) {
-    const float3 ab = acceleration * before;
+INLINE float squared_length(const float3 v) { return product_of(v, v); }
+
+/* The share of an acceleration that goes on, 0 to 1: what there was of it an interval before, and more of it where a
+   mover slows down. */
+INLINE float lasted(const float3 velocity, const float3 acceleration, const float3 before) {
     const float size = squared_length(acceleration);
-    return size > 0.0f ? clamp(divide(ab.x + ab.y + ab.z, size), 0.0f, 1.0f) : 0.0f;
+    const float share = size > 0.0f ? divide(product_of(acceleration, before), size) : 0.0f;
+    return clamp(product_of(acceleration, velocity) < 0.0f ? SLOWS * share : share, 0.0f, 1.0f);
 }
 
 /* Weight of an acceleration, 0 to 1: `share` of it, and less where it bends the path sharply. */
@@ -108,8 +112,8 @@ INLINE float trust(const float3 velocity, const float3 acceleration, const float
 
 /* An acceleration as it will be, by how it was `before`. */
 INLINE float3 carried_on(const float3 acceleration, const float3 before) {
-    const float3 change = acceleration - before, cc = change * change, aa = acceleration * acceleration;
-    const float size = cc.x + cc.y + cc.z, most = TURN_MOST * TURN_MOST * (aa.x + aa.y + aa.z);
+    const float3 change = acceleration - before;
+    const float size = squared_length(change), most = TURN_MOST * TURN_MOST * squared_length(acceleration);
     return acceleration + (size > most ? TURN * divide(most, size) : TURN) * change;
 }
 
@@ -182,7 +186,7 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     if (before_weight_sum > 0.0f && carried == was_carried) {
         const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
         const float3 before = carried ? found_before : rotate_to_target(found_before, from_previous);
-        share = lasted(found, before);
+        share = lasted(now, found, before);
         later = carried_on(found, before);
     }
     const float trusted = trust(now, found, share);

@@ -182,7 +182,7 @@ def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]
     there = _to_source(shot, source_px)
     if reached:
         return (Step(f"It comes from {where}, with the motion of the nearest of 3×3 pixels there.", *there),)
-    said = "No fragment of that frame lands here: it moves as the nearest surface beside it."
+    said = "No fragment of that frame lands here: it moves as the nearest surface beside it, or a mover that has left."
     return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
 
 
