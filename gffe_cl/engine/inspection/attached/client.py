@@ -160,8 +160,8 @@ def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer:
     looked_into = pipeline()
     if looked_into is None:
         raise EOFError
-    sizes, fps = looked_into.sizes, looked_into.fps
-    about = wire.Program(os.getpid(), sizes.target, sizes.source, fps, looked_into.device.info.name, looked_into.options)
+    sizes, fps, device = looked_into.sizes, looked_into.fps, looked_into.device.info.name
+    about = wire.Program(os.getpid(), sizes.target, sizes.source, fps, device, looked_into.options)
     channel.send(encoded(about))
     recorder = None
     if greeting.frames:
