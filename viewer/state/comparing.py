@@ -82,6 +82,11 @@ class Comparison:
         """Compare with another layer."""
         self._by_settings, self._view.b = False, name
 
+    def without_settings(self) -> None:
+        """Compare with no kept settings any more."""
+        self._by_settings = False
+        self.follow()
+
     def follow(self) -> None:
         """Make B's layer that of A where settings are compared. Where they no longer are, B is given up."""
         view = self._view

@@ -33,6 +33,7 @@ from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
 from ..picture.worst_pixels import WorstPixels
+from .baseline import Baseline
 from .captions import entries_of, frame_text, headings, slot_text
 from .comparing import Comparison
 from .navigation import Flights, Walk
@@ -360,11 +361,6 @@ class Model(Opening):
         """Return the figures of the present recipe, by slot."""
         return self.measured.of(self.recipe)
 
-    def metrics_of_second(self) -> dict[int, Figures]:
-        """Return the figures of B's settings, by slot; empty without B."""
-        kept = self.kept.b
-        return {} if kept is None else self.measured.of(self.engine.recipe(kept.setup(self.n)))
-
     @property
     def n(self) -> int:
         """Generated frames after each rendered one."""
@@ -501,9 +497,15 @@ class Model(Opening):
         self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
 
     def take_b_from(self, place: str) -> None:
-        """Compare with what is stored at `place`: kernels, with the present settings, or the pictures of a sequence."""
+        """Compare with what is stored at `place`: kernels, with the present settings, the pictures of a sequence, or
+        figures of frames."""
         folder = Path(place).expanduser().absolute()
         try:
+            if folder.is_file():
+                self.survey.baseline = baseline = Baseline.load(folder)
+                self.comparison.without_settings()
+                self.say(f"B is the figures of {baseline.name}: the plot and Regions show them beside A's")
+                return
             if next(folder.glob("*.cl"), None) is not None:
                 kernels = self.engine.take_kernels(folder)
                 kept = self.kept.keep(self.setup, kernels, folder)

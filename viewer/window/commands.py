@@ -65,6 +65,12 @@ def register(app: Workspace) -> None:
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.saving.start, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.saving.start, saving.LayersWork), savable)
     add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.saving.start, saving.VideoWork), savable)
+    add("save_into", "Save into …", "File", "",
+        lambda: app.open_dialog("Save into a folder", model.saving.choose_folder),
+        tooltip="Choose the folder of what is saved from now on")  # fmt: skip
+    add("copy_saved", "Copy the path of the last save", "File", "",
+        lambda: app.copy(str(model.saving.saved)),
+        lambda: None if model.saving.saved else "nothing has been saved")  # fmt: skip
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
@@ -77,7 +83,7 @@ def register(app: Workspace) -> None:
         "Off: its last rendered frames, frozen")  # fmt: skip
     add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
         lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
-        tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
+        tooltip="The rendered frames as a sequence, for gffe check")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
     add(
@@ -137,7 +143,7 @@ def register(app: Workspace) -> None:
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
     _copying(app, add, savable)
     _comparing(app, add, opened)
-    _finding(app, add, opened)
+    _finding(app, add, opened, savable)
     add("fly", "Fly the camera", "Camera", "G", model.flights.toggle, live, checked=lambda: model.flying,
         tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster")  # fmt: skip
     add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)
@@ -192,14 +198,10 @@ def _copying(app: Workspace, add, savable) -> None:
         assert image is not None and rectangle is not None  # as there are numbers
         return copying.numbers_of(image, rectangle)
 
-    def copy(text):
-        imgui.set_clipboard_text(text)
-        model.say(f"copied: {text}" if "\n" not in text else f"copied {text.count(chr(10)) + 1} rows of numbers")
-
-    add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: copy(value()),
+    add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: app.copy(value()),
         lambda: None if value() else "point at a pixel, or pick one",
         tooltip="Frame, layer, pixel and value")  # fmt: skip
-    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()), no_numbers,
+    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: app.copy(numbers()), no_numbers,
         tooltip="Copy the numbers of the rectangle's pixels row by row, to paste them into a table")  # fmt: skip
     add(
         "copy_picture",
@@ -223,9 +225,7 @@ def _comparing(app: Workspace, add, opened) -> None:
         return reason or ("B is pictures, not settings" if model.kept.b and model.kept.b.place else None)
 
     def copy(kept: Kept | None = None):
-        line = printable(model.command_line(model.setup if kept is None else kept.setup(model.n)))
-        imgui.set_clipboard_text(line)
-        model.say(f"copied: {line}")
+        app.copy(printable(model.command_line(model.setup if kept is None else kept.setup(model.n))))
 
     add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
         tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
@@ -235,6 +235,10 @@ def _comparing(app: Workspace, add, opened) -> None:
         lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.take_b_from),
         lambda: opened() or ("freeze the running program first" if model.follows else None),
         tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels")  # fmt: skip
+    add("b_baseline", "B from stored figures …", "Compare", "Alt+B",
+        lambda: app.open_dialog("Compare with stored figures", model.take_b_from, of_file=True),
+        lambda: opened() or ("freeze the running program first" if model.follows else None),
+        tooltip="A baseline that the viewer has stored, or the JSON of gffe compare: its figures are B's")  # fmt: skip
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
         tooltip="Copy the command gffe run … with the present settings")  # fmt: skip
     add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
@@ -256,12 +260,16 @@ def _comparing(app: Workspace, add, opened) -> None:
         lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
 
 
-def _finding(app: Workspace, add, opened) -> None:
+def _finding(app: Workspace, add, opened, savable) -> None:
     """Register the actions that find wrong frames, regions and pixels."""
     model, survey, regions = app.model, app.model.survey, app.model.regions
     add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
         lambda: opened(), checked=lambda: survey.on,
         tooltip="Every generated frame, in the background: for the plot, and for finding frames")  # fmt: skip
+    add("save_figures", "Store figures as a baseline", "Find", "Alt+Shift+J",
+        lambda: model.saving.start(lambda subject: saving.FiguresWork(subject, survey.document())),
+        lambda: savable() or (None if survey.figures(survey.a) else "no frame is measured yet"),
+        tooltip="A's figures that are known, as JSON. Alt+B shows them as B's later")  # fmt: skip
     for id, text, key, find, tooltip in (
         ("worst", "Worst frame", "J", survey.worst, "By the quantity that is plotted"),
         ("next_worst", "Next worse frame", "Shift+J", survey.next, "In the order of the last search"),

@@ -151,6 +151,10 @@ def _controls(app: Interface) -> None:
             imgui.text_colored(COLORS[label], label)
             imgui.same_line(0, em(0.3))
             imgui.text(text)
+        if len(means) > 1:
+            text = f"A−B {QUANTITIES[survey.quantity].text(means['A'] - means['B'], '+')}"
+            row(imgui.calc_text_size(text).x)
+            imgui.text(text)
         if means:
             text = f"mean of {count} frame{'s' * (count != 1)}" + " of both" * (len(means) > 1)
             row(imgui.calc_text_size(text).x)

@@ -27,7 +27,11 @@ def draw(app: Interface) -> None:
         _beside(told)
         imgui.text_colored(widgets.red() if last.error else _BLUE, _icon(last.error))
         imgui.same_line()
-        imgui.text(widgets.cut(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
+        text, saved = widgets.cut(last.text.replace("\n", " "), imgui.get_content_region_avail().x), model.saving.saved
+        if saved is not None and str(saved) in last.text:  # a click opens its folder
+            imgui.text_link_open_url(f"{text}###saved", str(saved.parent))
+        else:
+            imgui.text(text)
         widgets.tooltip("\n".join(message.text for message in shown))
         told = True
     _beside(told)
