@@ -33,7 +33,7 @@ from gffe_cl.viewer.state.copying import numbers_of, value_of
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.saving import LayersWork
+from gffe_cl.viewer.state.saving import FiguresWork, LayersWork
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.window import status
 from gffe_cl.viewer.window.doctor import offers_repair
@@ -150,6 +150,27 @@ def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
     work = model.saving.work
     session.until(lambda: seen.add((work.done, work.total)) or model.saving.work is None)
     assert work.done == work.total == len(list(work.path.iterdir())) > 5, seen
+    assert model.saving.saved == work.path and str(work.path) in model.messages[-1].text
+
+
+def test_figures_are_saved_where_the_user_wants_and_taken_as_b(session, tmp_path):
+    model = session.model
+    model.metrics[1] = Figures({"psnr": 30.0})
+    model.saving.choose_folder(str(tmp_path / "nothing"))
+    assert model.messages[-1].error and "no such folder" in model.messages[-1].text
+    (tmp_path / "chosen").mkdir()
+    model.saving.choose_folder(str(tmp_path / "chosen"))
+    model.saving.start(lambda subject: FiguresWork(subject, model.survey.document()))
+    session.until(lambda: model.saving.work is None)
+    (path,) = (tmp_path / "chosen").iterdir()
+    assert model.saving.saved == path
+    model.keep_as_b()
+    model.take_b_from(str(path))
+    session.frame()
+    assert not model.comparison.by_settings and model.survey.figures(model.survey.b)[1].values == {"psnr": 30.0}
+    path.write_text("{}")
+    model.take_b_from(str(path))
+    assert model.messages[-1].error and "expected those of the viewer" in model.messages[-1].text
 
 
 def test_while_a_program_is_attached_to_that_is_told(session):
