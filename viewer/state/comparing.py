@@ -74,7 +74,7 @@ class Comparison:
 
     @property
     def builds(self) -> tuple[str, str]:
-        """Which kernels the displayed frames of A and B were made with, where these differ; else empty texts."""
+        """The kernels that the displayed frames of A and B were made with, where these differ; else empty texts."""
         shown = self._contents.result, self._contents.second
         a, b = (frame.key.recipe.kernels if frame else "" for frame in shown)
         if not self.by_settings or a == b or not b:
