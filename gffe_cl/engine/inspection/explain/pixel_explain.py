@@ -128,8 +128,11 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
         mask += ", which is off"
     colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
     said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
-    step = Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
-    return replace(story, corrected=True, sentences=(*story.sentences, step))
+    steps = [Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))]
+    if pipeline.options.image_flow and values[names.FOLLOWED][0]:
+        said = "Image flow: half of its color comes along the flow, which explains the last frames better than vectors do."
+        steps.append(Step(said, Link("followed", names.FOLLOWED)))
+    return replace(story, corrected=True, sentences=(*story.sentences, *steps))
 
 
 def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, values) -> Story:
