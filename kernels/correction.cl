@@ -276,60 +276,37 @@ INLINE bool is_followed(__global const float *followed, const int width, const i
     return any_is;
 }
 
-/* The places in an image 1 / `shrunk` as large of positions in pixels, with whole numbers at pixel centers. */
-INLINE void find_shrunk(const Floats x, const Floats y, const float shrunk, const int width, const int height,
-                        Sample *s) {
+/* The places in an image 1 / `shrunk` as large of pixels from (x, y) on. */
+INLINE void find_shrunk(const int x, const int y, const float shrunk, const int width, const int height, Sample *s) {
     const float scale = 1.0f / shrunk, offset = 0.5f * scale - 0.5f;
-    find_sample(scale * x + offset, scale * y + offset, width, height, s);
+    find_sample(scale * row_indices(x) + offset, (Floats)(scale * (float)y + offset), width, height, s);
 }
 
-/* Encoded color at the taps of a sample. */
-INLINE WideRgb sampled_code(__global const half *color, const Sample *s, const float4 law) {
-    const Ints below = s->tap + s->down;
-    const WideRgb a = finite_rgb(gather_rgb(color, s->tap)), b = finite_rgb(gather_rgb(color, s->tap + s->right));
-    const WideRgb c = finite_rgb(gather_rgb(color, below)), d = finite_rgb(gather_rgb(color, below + s->right));
-    const WideRgb code = {encode(between_taps(a.r, b.r, c.r, d.r, s), law),
-                          encode(between_taps(a.g, b.g, c.g, d.g, s), law),
-                          encode(between_taps(a.b, b.b, c.b, d.b, s), law)};
-    return code;
-}
-
-/* Moves the final image half way to the extrapolated color along the flow, where that is followed. Detail that both
-   frames show in place is texture, and stays there. */
+/* Moves the final image half way to the extrapolated color along the flow, where that is followed. */
 WIDE __kernel void follow_flow(__constant Frame *restrict frame, __global const half *extrapolated,
-                               __global const float *frames, __global const float *flow, __global const float *texture,
-                               __global const float *followed, __global half *color) {
+                               __global const float *flow, __global const float *followed, __global half *color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const int half_width = frame->network_width, half_height = frame->network_height, plane = half_width * half_height;
-    const int width = half_width / 2, height = half_height / 2;
-    const float4 law = frame->color_law;
+    const int width = frame->network_width / 2, height = frame->network_height / 2;
     const int x = get_global_id(0) * LANES, first = get_global_id(1) * FOLLOWED_ROWS, count = target_width - x;
     if (x >= target_width || first >= target_height || !is_followed(followed, width, height, x, first)) return;
     for (int y = first; y < min(first + FOLLOWED_ROWS, target_height); ++y) {
-        const int i = y * target_width + x;
-        const Floats px_x = row_indices(x), px_y = (Floats)((float)y);
-        Sample near, coarse, here, there, low_there;
-        find_shrunk(px_x, px_y, 4.0f, width, height, &near);
-        const Floats share = FOLLOWED_SHARE * sampled(followed, &near), detail = sampled(texture, &near);
-        find_shrunk(px_x, px_y, 8.0f, width / 2, height / 2, &coarse);
-        const Floats to_x = px_x + 4.0f * frame->alpha * sampled(flow, &coarse),
-                     to_y = px_y + 4.0f * frame->alpha * sampled(flow + plane / 16, &coarse);
-        find_shrunk(px_x, px_y, 2.0f, half_width, half_height, &here);
-        find_shrunk(to_x, to_y, 2.0f, half_width, half_height, &low_there);
-        find_sample(to_x, to_y, target_width, target_height, &there);
-        const WideRgb moved = sampled_code(extrapolated, &there, law);
-        const WideRgb own = finite_rgb(load_some_rgb(count, extrapolated + 4 * i));
-        const Floats codes[3] = {moved.r, moved.g, moved.b}, owns[3] = {own.r, own.g, own.b};
-        Floats made[3];
-        for (int c = 0; c < 3; ++c) {
-            const Floats detail_here = encode(owns[c], law) - sampled(frames + c * plane, &here),
-                         detail_there = codes[c] - sampled(frames + c * plane, &low_there);
-            made[c] = decode(codes[c] + detail * (detail_here - detail_there), law);
-        }
-        const WideRgb now = finite_rgb(load_some_rgb(count, color + 4 * i));
-        const Floats rest = 1.0f - share;
-        const WideRgb mixed = {now.r * rest + made[0] * share, now.g * rest + made[1] * share,
-                               now.b * rest + made[2] * share};
-        store_where(share > 0.0f, mixed, count, color + 4 * i, color + 4 * i);
+        Sample near, coarse, there;
+        find_shrunk(x, y, 4.0f, width, height, &near);
+        const Floats share = FOLLOWED_SHARE * sampled(followed, &near), rest = 1.0f - share;
+        find_shrunk(x, y, 8.0f, width / 2, height / 2, &coarse);
+        const float pixels = 4.0f * frame->alpha; /* of the display, until t + alpha */
+        find_sample(row_indices(x) + pixels * sampled(flow, &coarse),
+                    (float)y + pixels * sampled(flow + width * height / 4, &coarse), target_width, target_height,
+                    &there);
+        const Ints below = there.tap + there.down;
+        const WideRgb a = gather_rgb(extrapolated, there.tap), b = gather_rgb(extrapolated, there.tap + there.right),
+                      c = gather_rgb(extrapolated, below), d = gather_rgb(extrapolated, below + there.right);
+        const WideRgb moved = {between_taps(a.r, b.r, c.r, d.r, &there), between_taps(a.g, b.g, c.g, d.g, &there),
+                               between_taps(a.b, b.b, c.b, d.b, &there)};
+        __global half *out = color + 4 * (y * target_width + x);
+        const WideRgb now = finite_rgb(load_some_rgb(count, out)), then = finite_rgb(moved);
+        const WideRgb mixed = {now.r * rest + then.r * share, now.g * rest + then.g * share,
+                               now.b * rest + then.b * share};
+        store_where(share > 0.0f, mixed, count, out, out);
     }
 }

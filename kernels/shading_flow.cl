@@ -28,7 +28,8 @@
 #define FAINT 0.00001f /* power of detail, summed over 2x2 pixels, below which there is none */
 #define EXPLAINED 0.5f /* the flow is followed if it leaves less than this part of the squared difference, ... */
 #define UNLIKE 0.0003f /* ... which must be more than this, ... */
-#define LONGEST_FLOW 48 /* ... and if each way it is shorter than this part of the width, ... */
+#define LONGEST_FLOW 48 /* ... if each way it is shorter than this part of the width, ... */
+#define SMOOTH 2.0f /* ... varies by less than this each way between neighbors, in pixels of level 0, ... */
 #define BENT 0.1f /* ... where inverse depth bends by less than this part between three pixels */
 #define INVERSE_DEPTH 6 /* planes of the network's frames */
 #define INPUT_MASK 7
@@ -340,20 +341,49 @@ INLINE Ints is_rough(__global const float *frames, const int fine, const int fin
     return rough;
 }
 
+/* Whether the flow varies much among the 3x3 pixels around those of a tile from (x, y) on. */
+INLINE Ints varies(__local const float *near, const int x, const int y) {
+    Ints much = 0;
+    for (int axis = 0; axis < 2; ++axis) {
+        __local const float *first = near + axis * FLOW_PLANE + (y - 1 + AROUND) * FLOW_PITCH + x - 1 + AROUND;
+        Floats least = load_floats(0, first), most = least;
+        for (int k = 1; k < 9; ++k) {
+            const Floats other = load_floats(0, first + k / 3 * FLOW_PITCH + k % 3);
+            least = wide_lesser(least, other);
+            most = wide_greater(most, other);
+        }
+        much |= !(most - least < SMOOTH);
+    }
+    return much;
+}
+
 /* At level 1, 1 where the image is to follow the flow, else 0: the flow explains how the previous frame, warped along
    motion vectors, became the new one, and these do not. `flow` is that of level 2. */
 WIDE TILED __kernel void find_followed(__constant Frame *restrict frame, __global const float *restrict frames,
                                        __global const float *restrict brightness, __global const float *restrict flow,
                                        __global const int *restrict changed, __global float *restrict followed) {
     __local float near[2 * FLOW_PLANE], still[PIXELS], along[PIXELS], squares[2 * SUM_PLANE];
+    __local int unlike; /* whether both frames differ anywhere in the tile */
     const int fine = frame->network_width, fine_height = frame->network_height;
     const int width = fine / 2, height = fine_height / 2;
-    load_flow(flow, true, width, height, near);
+    const float longest = (float)fine * (1.0f / LONGEST_FLOW);
+    if (ITEM == 0) unlike = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    square_differences(brightness, near, fine, fine_height, still, along);
+    for (int i = ITEM + 2 * PIXEL_CHUNKS; *changed && i < (PIXEL_ROWS - 2) * PIXEL_CHUNKS; i += ITEMS) {
+        const int x = 2 * TILE_X - PIXELS_AROUND + LANES * (i % PIXEL_CHUNKS),
+                  y = 2 * TILE_Y - PIXELS_AROUND + i / PIXEL_CHUNKS;
+        const Ints there = clamp(y, 0, fine_height - 1) * fine + clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(fine - 1));
+        const Floats change = gather_floats(brightness + fine * fine_height, there) - gather_floats(brightness, there);
+        if (ANY(change * change > UNLIKE)) atomic_or(&unlike, 1);
+    }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    for (int i = ITEM; i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
+    if (unlike) load_flow(flow, true, width, height, near);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (unlike) square_differences(brightness, near, fine, fine_height, still, along);
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (int i = ITEM; unlike && i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
         const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS), y = TILE_Y - 1 + row;
         if (y < 0 || y >= height) continue;
         store_floats(mean_of_pixels(still, row, column), 0, squares + row * SUM_PITCH + column);
@@ -361,18 +391,19 @@ WIDE TILED __kernel void find_followed(__constant Frame *restrict frame, __globa
     }
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    const Floats longest = (float)fine * (1.0f / LONGEST_FLOW);
     for (int i = ITEM; i < CHUNKS(TILE_WIDTH) * TILE_HEIGHT; i += ITEMS) {
         const int x = LANES * (i % CHUNKS(TILE_WIDTH)), y = i / CHUNKS(TILE_WIDTH);
         const int count = width - TILE_X - x;
         if (count <= 0 || TILE_Y + y >= height) continue;
-        const Floats in_place = mean_around(squares, width, height, x, y),
-                     moved = mean_around(squares + SUM_PLANE, width, height, x, y);
-        __local const float *here = near + (y + AROUND) * FLOW_PITCH + x + AROUND;
-        Ints follows = (in_place > UNLIKE) & (moved < EXPLAINED * in_place);
-        follows &= (fabs(load_floats(0, here)) < longest) & (fabs(load_floats(0, here + FLOW_PLANE)) < longest);
-        if (!*changed) follows = 0;
-        if (ANY(follows)) follows &= !is_rough(frames, fine, fine_height, TILE_X + x, TILE_Y + y);
+        Ints follows = 0;
+        if (unlike) {
+            const Floats in_place = mean_around(squares, width, height, x, y),
+                         moved = mean_around(squares + SUM_PLANE, width, height, x, y);
+            __local const float *here = near + (y + AROUND) * FLOW_PITCH + x + AROUND;
+            follows = (in_place > UNLIKE) & (moved < EXPLAINED * in_place);
+            follows &= (fabs(load_floats(0, here)) < longest) & (fabs(load_floats(0, here + FLOW_PLANE)) < longest);
+        }
+        if (ANY(follows)) follows &= !varies(near, x, y) & !is_rough(frames, fine, fine_height, TILE_X + x, TILE_Y + y);
         store_some_floats(follows ? (Floats)(1.0f) : (Floats)(0.0f), count,
                           followed + (TILE_Y + y) * width + TILE_X + x);
     }

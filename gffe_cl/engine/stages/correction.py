@@ -127,9 +127,7 @@ class ShadingCorrection(Stage):
             "target",
             {
                 "extrapolated": "frame.color",
-                "frames": "network_input.frames",
                 "flow": "shading_flow.flow2",
-                "texture": "shading_flow.texture",
                 "followed": "shading_flow.followed",
                 "color": "correction.color",
             },

@@ -1,6 +1,7 @@
 """Twin of shading_flow.cl, doubling.h and sampling.h."""
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from twins.common import F, kernel_constants
 
@@ -121,6 +122,8 @@ def find_followed(frames, flow):
     still, along = (mean_around(F(0.25) * _summed((a - now) ** 2)) for a in (before, warped(before, finer)))
     follows = (still > FLOW.UNLIKE) & (along < FLOW.EXPLAINED * still)
     follows &= (np.abs(finer) < F(now.shape[1]) * (F(1) / F(FLOW.LONGEST_FLOW))).all(0)
+    around = sliding_window_view(np.pad(finer, ((0, 0), (1, 1), (1, 1)), mode="edge"), (3, 3), axis=(1, 2))
+    follows &= (around.max((-1, -2)) - around.min((-1, -2)) < FLOW.SMOOTH).all(0)
     inverse, mask = frames[FLOW.INVERSE_DEPTH], frames[FLOW.INPUT_MASK]
     p, most = np.pad(inverse, 1, mode="edge"), FLOW.BENT * inverse
     across = p[1:-1, :-2] + p[1:-1, 2:] - F(2) * inverse

@@ -130,7 +130,7 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
     said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
     steps = [Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))]
     if pipeline.options.image_flow and values[names.FOLLOWED][0]:
-        said = "Image flow: half of its color comes along the flow, which explains the last frames better than vectors do."
+        said = "Image flow: half of its color is from along the flow, which explains the last frames; vectors do not."
         steps.append(Step(said, Link("followed", names.FOLLOWED)))
     return replace(story, corrected=True, sentences=(*story.sentences, *steps))
 
