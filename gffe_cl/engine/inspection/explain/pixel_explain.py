@@ -126,13 +126,12 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
     mask = f"focus mask {float(values[names.FOCUS_MASK][0]):.2f}"
     if not pipeline.options.focus_mask:
         mask += ", which is off"
+    if pipeline.options.image_flow and values[names.FOLLOWED][0]:
+        mask += "; half of it from along the flow of the image"
     colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
     said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
-    steps = [Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))]
-    if pipeline.options.image_flow and values[names.FOLLOWED][0]:
-        said = "Image flow: half of its color is from along the flow, which explains the last frames; vectors do not."
-        steps.append(Step(said, Link("followed", names.FOLLOWED)))
-    return replace(story, corrected=True, sentences=(*story.sentences, *steps))
+    step = Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
+    return replace(story, corrected=True, sentences=(*story.sentences, step))
 
 
 def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, values) -> Story:
