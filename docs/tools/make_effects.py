@@ -43,8 +43,8 @@ def noise(x, y, t, seed):
     parts = [(c - f) ** 2 * (3 - 2 * (c - f)) for c, f in zip((x, y, t), low, strict=True)]
     total = 0
     for k in np.ndindex(2, 2, 2):
-        weight = np.prod(np.broadcast_arrays(*(p if b else 1 - p for b, p in zip(k, parts, strict=True))), 0)
-        total = total + weight * corner(*(f + b for f, b in zip(low, k, strict=True)))
+        x, y, t = (p if b else 1 - p for b, p in zip(k, parts, strict=True))
+        total = total + x * y * t * corner(*(f + b for f, b in zip(low, k, strict=True)))
     return 2 * total - 1
 
 
