@@ -139,14 +139,14 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
     return false;
 }
 
-/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Empties the list
-   of open pixels. */
+/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Empties the lists
+   of open pixels, and of movers' edges at which parts reappear. */
 WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
                          __global const uchar *links, __global const float *target_position,
                          __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
-                         __global uint *winners, __global uint *open) {
+                         __global uint *winners, __global uint *open, __global uint *edges) {
     const int width = frame->source_width, height = frame->source_height;
-    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = 0;
+    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = edges[0] = 0;
     const Fragments from = {.depth = depth,
                             .target_position = target_position,
                             .links = links,

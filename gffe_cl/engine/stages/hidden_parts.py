@@ -13,12 +13,16 @@ _CONSTANTS = constants("hidden_parts.cl")
 _FILLED = {name: f"frame.{name}" for name in ("color", "depth", "motion", "filled_by")}
 _KEYS = {name: f"warp.{name}" for name in ("keys", "winners")}
 _OFFERING = {
-    "depth": "rendered.depth",
-    "motion": "rendered.motion",
+    "dynamic_mask": "history.dynamic_mask",
+    "links": "connectivity.links",
     "met_depth": "history.met_depth",
     "target_position": "prediction.target_position",
-    "shown_depth": "frame.depth",
 } | _KEYS
+
+
+def reappear(options: Options) -> bool:
+    """Return whether parts that come out from behind static surfaces are shown."""
+    return HiddenParts.is_wanted(options) and options.reappearing
 
 
 class HiddenParts(NearestStage):
@@ -40,7 +44,7 @@ class HiddenParts(NearestStage):
     kernels = (
         Kernel(
             "fill_hidden_parts",
-            "walk",
+            "flat_level0",
             {
                 "source_depth": "rendered.depth",
                 "source_motion": "rendered.motion",
@@ -51,15 +55,9 @@ class HiddenParts(NearestStage):
                 "color": "frame.color",
                 "depth": "frame.depth",
                 "motion": "frame.motion",
-            },
-            _FILLED | {name: f"hidden_parts.{name}" for name in ("edges", "offered")},
-            group="WALK_GROUP",
-        ),
-        Kernel(
-            "list_edges",
-            "flat_level0",
-            _OFFERING | {"dynamic_mask": "history.dynamic_mask", "links": "connectivity.links"},
-            {"edges": "hidden_parts.edges"} | _KEYS,
+            }
+            | _OFFERING,
+            _FILLED | _KEYS | {name: f"hidden_parts.{name}" for name in ("edges", "offered")},
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
         ),
@@ -68,9 +66,10 @@ class HiddenParts(NearestStage):
             "walk",
             _OFFERING
             | {
-                "dynamic_mask": "history.dynamic_mask",
-                "links": "connectivity.links",
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
                 "depth_prev": "previous.depth",
+                "shown_depth": "frame.depth",
                 "edges": "hidden_parts.edges",
             },
             {
@@ -112,10 +111,9 @@ class HiddenParts(NearestStage):
         return options.hidden_parts and options.motion
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("fill_hidden_parts", step)
-        if not self.board.options.reappearing:
-            return
-        self.launch("list_edges", step)
-        for offer_pass in self.passes:
+        reappearing = self.board.options.reappearing
+        self.launch("fill_hidden_parts", step, reappear=reappearing)
+        for offer_pass in self.passes if reappearing else ():
             self.launch("offer_reappearing", step, **{"pass": offer_pass})
-        self.launch("fill_reappearing", step)
+        if reappearing:
+            self.launch("fill_reappearing", step)

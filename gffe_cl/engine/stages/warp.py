@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
+from gffe_cl.engine.stages.hidden_parts import reappear
 
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
@@ -44,7 +47,7 @@ class Warp(NearestStage):
                 "target_position": "prediction.target_position",
             }
             | _KEYS,
-            _KEYS | {"open": "warp.open"},
+            _KEYS | {"open": "warp.open", "edges": "hidden_parts.edges"},
             step=("LANES", 1),
         ),
         Kernel(
@@ -68,6 +71,9 @@ class Warp(NearestStage):
     )
 
     def __init__(self, board: Board):
+        if not reappear(board.options):  # it writes nothing of them
+            splat, resolve = self.kernels
+            self.kernels = (replace(splat, writes={**splat.writes, "edges": "warp.open"}), resolve)
         self.buffers = (_MIXED, _OPEN, *self.keys(board, "", "target", transient=True))
         super().__init__(board)
 
