@@ -302,26 +302,20 @@ INLINE bool is_hidden_beside(const int src, const int k, __constant Frame *frame
            && is_hidden(src + d.y * width + d.x, f.depth[src], f);
 }
 
-/* Lists the pixels at the edges of movers that something hides, of those that the work-group scans, and empties the
-   keys that will be offered to. `found`, `found_count`: as for scan_for. */
-INLINE void list_edges(__constant Frame *frame, const Parts f, __global uint *edges, __local ushort *found,
-                       __local uint *found_count) {
+/* Offers parts, or empties the keys for them, at the edges of movers that something hides, of those that the work-group
+   scans, one side per work-item. `found`, `found_count`: as for scan_for. */
+INLINE void offer_at_edges(const int pass, __constant Frame *frame, const Parts f, __local ushort *found,
+                           __local uint *found_count) {
     const int width = frame->source_width;
     const int first = scan_for(DYNAMIC, f.dynamic_mask, width * frame->source_height, found, found_count);
-    for (uint i = get_local_id(0); i < *found_count; i += SCAN_GROUP) {
-        const int src = first + found[i];
-        bool is_edge = false;
-        for (int k = 0; f.links[src] != ALL_LINKS && k < SIDES; ++k) {
-            if (!is_hidden_beside(src, k, frame, f)) continue;
-            is_edge = true;
-            offer_side(src % width, src / width, k, EMPTY_KEYS, frame, f);
-        }
-        if (is_edge) append((uint)src, edges);
+    for (uint i = get_local_id(0); i < SIDES * *found_count; i += SCAN_GROUP) {
+        const int src = first + found[i / SIDES], k = (int)i % SIDES;
+        if (is_hidden_beside(src, k, frame, f)) offer_side(src % width, src / width, k, pass, frame, f);
     }
 }
 
-/* Fills the open pixels that are holes, a team of work-items for each. If parts `reappear`, lists the edges that these
-   may come out at, and empties the list of where: the keys are no others', and nothing else is shared. */
+/* Fills the open pixels that are holes, a team of work-items for each. If parts `reappear`, empties the keys that they
+   will be offered to, which nothing else here reads, and the list of where. */
 SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, const int reappear,
                                           __global const float *source_depth, __global const float2 *source_motion,
                                           __global const float *depth_prev, __global const uint *open,
@@ -330,7 +324,7 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
                                           __global uchar *filled_by, __global const uchar *dynamic_mask,
                                           __global const uchar *links, __global const float *met_depth,
                                           __global const float *target_position, __global Key *keys,
-                                          __global uint *winners, __global uint *edges, __global uint *offered) {
+                                          __global uint *winners, __global uint *offered) {
     __local Side sides[TEAMS][DIRECTIONS];
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint found_count;
@@ -352,7 +346,7 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
                          .keys = keys,
                          .winners = winners};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
-    if (reappear && frame->has_previous) list_edges(frame, parts, edges, found, &found_count);
+    if (reappear && frame->has_previous) offer_at_edges(EMPTY_KEYS, frame, parts, found, &found_count);
     if (reappear && get_global_id(0) == 0) offered[0] = 0;
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         /* Team by team look into all directions ... */
@@ -370,14 +364,15 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
     }
 }
 
-/* Offers the parts of movers that reappear at the listed edges, one side per work-item. Lists where. */
-WALK __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
-                                     __global const float2 *motion, __global const uchar *dynamic_mask,
-                                     __global const uchar *links, __global const float *met_depth,
-                                     __global const float *target_position, __global const float *depth_prev,
-                                     __global const float *shown_depth, __global Key *keys, __global uint *winners,
-                                     __global uchar *filled_by, __global const uint *edges, __global uint *offered) {
-    const int width = frame->source_width;
+/* Offers the parts of movers that reappear. Lists where. */
+SCAN_FLAT __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
+                                          __global const float2 *motion, __global const uchar *dynamic_mask,
+                                          __global const uchar *links, __global const float *met_depth,
+                                          __global const float *target_position, __global const float *depth_prev,
+                                          __global const float *shown_depth, __global Key *keys, __global uint *winners,
+                                          __global uchar *filled_by, __global uint *offered) {
+    __local ushort found[SCAN_GROUP * SCAN_BYTES];
+    __local uint found_count;
     const Parts parts = {.depth = depth,
                          .depth_prev = depth_prev,
                          .met_depth = met_depth,
@@ -390,10 +385,7 @@ WALK __kernel void offer_reappearing(__constant Frame *restrict frame, const int
                          .winners = winners,
                          .filled_by = filled_by,
                          .offered = offered};
-    for (uint i = get_global_id(0); i < SIDES * edges[0]; i += get_global_size(0)) {
-        const int src = (int)LISTED(edges, i / SIDES), k = (int)i % SIDES;
-        if (is_hidden_beside(src, k, frame, parts)) offer_side(src % width, src / width, k, pass, frame, parts);
-    }
+    if (frame->has_previous) offer_at_edges(pass, frame, parts, found, &found_count);
 }
 
 /* Code of the color that a mover of depth `met` had at px_prev, where the frame before showed it. */

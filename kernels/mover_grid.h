@@ -1,5 +1,5 @@
 /* Cells of 4x4 pixels of a rendered frame, in which one mover's velocity and acceleration are known (see
-   acceleration.cl). */
+   acceleration.h). */
 
 #define MOVER_CELL 4                 /* px each way */
 /* CELL_TOLERANCE: relative depth within which a fragment, or another cell, belongs to the cell's mover */

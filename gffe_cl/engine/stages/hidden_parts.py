@@ -20,11 +20,6 @@ _OFFERING = {
 } | _KEYS
 
 
-def reappear(options: Options) -> bool:
-    """Return whether parts that come out from behind static surfaces are shown."""
-    return HiddenParts.is_wanted(options) and options.reappearing
-
-
 class HiddenParts(NearestStage):
     """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them. Shows
     parts that come out from behind static surfaces."""
@@ -32,10 +27,6 @@ class HiddenParts(NearestStage):
     name = "hidden_parts"
     needs_footprints = True
     buffers = (
-        BufferSpec(
-            "edges", np.uint32, (), "list_source", "pixels at edges of movers that something hides",
-            scratch=True, transient=True,
-        ),
         BufferSpec(
             "offered", np.uint32, (), "list_target", "pixels to which parts that reappear are offered",
             scratch=True, transient=True,
@@ -57,27 +48,27 @@ class HiddenParts(NearestStage):
                 "motion": "frame.motion",
             }
             | _OFFERING,
-            _FILLED | _KEYS | {name: f"hidden_parts.{name}" for name in ("edges", "offered")},
+            _FILLED | _KEYS | {"offered": "hidden_parts.offered"},
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
         ),
         Kernel(
             "offer_reappearing",
-            "walk",
+            "flat_level0",
             _OFFERING
             | {
                 "depth": "rendered.depth",
                 "motion": "rendered.motion",
                 "depth_prev": "previous.depth",
                 "shown_depth": "frame.depth",
-                "edges": "hidden_parts.edges",
             },
             {
                 "filled_by": "frame.filled_by",
                 "offered": "hidden_parts.offered",
             }
             | _KEYS,
-            group="WALK_GROUP",
+            step=("SCAN_BYTES", 1),
+            group="SCAN_GROUP",
         ),
         Kernel(
             "fill_reappearing",

@@ -2,13 +2,10 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
-from gffe_cl.engine.stages.hidden_parts import reappear
 
 _MIXED = BufferSpec(
     "mixed", np.uint8, (), "target",
@@ -42,12 +39,16 @@ class Warp(NearestStage):
             {
                 "reach": "backward_blocks.reach",
                 "block_class": "backward_blocks.block_class",
+                "smooth": "backward_blocks.smooth",
                 "depth": "rendered.depth",
+                "codes": "color_code.codes",
                 "links": "connectivity.links",
                 "target_position": "prediction.target_position",
             }
             | _KEYS,
-            _KEYS | {"open": "warp.open", "edges": "hidden_parts.edges"},
+            _KEYS
+            | {"open": "warp.open"}
+            | {name: f"silhouettes.{name}" for name in ("layer", "behind", "share", "marked", "soft")},
             step=("LANES", 1),
         ),
         Kernel(
@@ -71,9 +72,6 @@ class Warp(NearestStage):
     )
 
     def __init__(self, board: Board):
-        if not reappear(board.options):  # it writes nothing of them
-            splat, resolve = self.kernels
-            self.kernels = (replace(splat, writes={**splat.writes, "edges": "warp.open"}), resolve)
         self.buffers = (_MIXED, _OPEN, *self.keys(board, "", "target", transient=True))
         super().__init__(board)
 
