@@ -557,9 +557,8 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     const int src_x = get_global_id(0) * LANES, first_y = get_global_id(1) * MOVER_CELL;
     for (int src_y = first_y; src_x < width && src_y < min(first_y + MOVER_CELL, height); ++src_y)
         track_run(src_x, src_y, frame, frames);
-    if (!frame->bends) return;
-    if (LANES < MOVER_CELL) barrier(CLK_GLOBAL_MEM_FENCE);
-    if (src_x % MOVER_CELL || first_y >= height) return;
+    if (LANES < MOVER_CELL) barrier(CLK_GLOBAL_MEM_FENCE); /* before any return, which PoCL takes for all work-items */
+    if (!frame->bends || src_x % MOVER_CELL || first_y >= height) return;
     for (int x = src_x; x < min(src_x + LANES, width); x += MOVER_CELL)
         track_acceleration(x / MOVER_CELL, first_y / MOVER_CELL, frame, tracked, movers);
 }
