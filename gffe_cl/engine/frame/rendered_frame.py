@@ -120,19 +120,15 @@ class RenderedFrame:
         return self.display_camera or self.camera
 
 
-# Fields that hold objects: their types, in words, too.
-_OBJECTS = (
-    ("camera", Camera, "a Camera"),
-    ("display_camera", (Camera, type(None)), "a Camera or None"),
-    ("overlays", (Overlays, type(None)), "Overlays or None"),
-)
+_NO_CAMERA, _NO_OVERLAYS = (Camera, type(None)), (Overlays, type(None))  # types of fields that may hold none
 
 
 def checked_frame(frame: RenderedFrame) -> RenderedFrame:
     """Return `frame` with `time` and `reset` as Python values. Raises GffeError for invalid values, arrays excepted."""
     require_kind(frame, RenderedFrame, "frame")
-    for name, kind, expected in _OBJECTS:
-        require_kind(getattr(frame, name), kind, f"frame: {name}", expected)
+    require_kind(frame.camera, Camera, "frame: camera", "a Camera")
+    require_kind(frame.display_camera, _NO_CAMERA, "frame: display_camera", "a Camera or None")
+    require_kind(frame.overlays, _NO_OVERLAYS, "frame: overlays", "Overlays or None")
     time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
     jitter, size = require_jitter(frame.geometry_jitter), frame.geometry_size
     if time is frame.time and reset is frame.reset and jitter is NO_JITTER and size is None:

@@ -291,8 +291,9 @@ class Stage(Owner):
         """Make the results those of the frame before; called for all stages before any works on a new frame."""
         if self.before:
             self.board.turn ^= self._bit
-            for name, buffer in self.before.items():
-                self.before[name], self.buffer[name] = self.buffer[name], buffer
+            results = {name: self.buffer[name] for name in self.before}
+            self.buffer.update(self.before)
+            self.before = results
 
     def launch(self, name: str, step: Step | None = None, **given: Any) -> None:
         """Enqueue a kernel over its grid, in rows of work-items.
