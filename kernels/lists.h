@@ -8,7 +8,7 @@
 #if LANES == 1
 #define TEAM 8 /* ... and of a team, which works on one pixel */
 #else
-#define TEAM 1
+#define TEAM 2 /* more teams would need more local memory */
 #endif
 #define TEAMS (WALK_GROUP / TEAM)
 #define MIXED_FLAG 0x80000000u /* of an entry of warp.open: the pixel is no hole, but mixed */
