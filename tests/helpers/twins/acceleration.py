@@ -1,10 +1,10 @@
-"""Twin of acceleration.cl."""
+"""Twin of acceleration.h."""
 
 import numpy as np
 
 from twins.common import INF, F, centers, kernel_constants, move, rotate, unproject
 
-ACCELERATION = kernel_constants("acceleration.cl")
+ACCELERATION = kernel_constants("acceleration.h")
 
 
 def _is_of_cell(z, cell_depth):
