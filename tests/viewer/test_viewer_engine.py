@@ -1070,6 +1070,7 @@ def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene
             if movers.links[0].pixel is not None:
                 x, y = movers.links[0].pixel
                 assert images["frame.dynamic"][y, x] and f"({x}, {y})" in movers
+                assert "nothing refuses it" not in movers and " or " not in movers
             if "took the mean of those" not in taken:
                 continue
             (x, y), beside = story.pixel, [link.pixel for link in taken.links]
