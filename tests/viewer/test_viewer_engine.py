@@ -1095,6 +1095,8 @@ def test_stories_of_hidden_parts(device):
         assert all(s.filled_by == "hidden part of a mover" and "with its motion" in s.sentences[0] for s in told)
         bars = [float(s.sentences[1].split("shows depth ")[1].split(" ")[0]) for s in told]
         assert max(bars) < 6 and all("depth here is" in s.sentences[1] for s in told)
+        left = stories(engine, Setup(Options(levels=0)), 9, lambda i: i["frame.filled_by"] == 255, 60)
+        assert any("But the frame before shows depth 1" in said for s in left for said in s.sentences)
 
 
 def test_stories_of_movers_that_enter(device):

@@ -342,9 +342,7 @@ def register_layers(app: Workspace) -> None:
 
 
 def _why_no_layer(model: Model, name: str) -> str | None:
-    if model.contents.spec(name) is None:
-        return "not made with these options"
-    return model.contents.why_not(name)
+    return model.contents.why_absent(name) or model.contents.why_not(name)
 
 
 def _theme(app: Workspace) -> None:

@@ -18,7 +18,7 @@ def test_the_test_that_refused_a_mover_is_named(monkeypatch):
 
     far = "that mover is 5.0 px away, more than the 3.0 px within which one side is enough, and "
     assert said(left=(5, 10)) == f"{far}nothing moves on the other side within 9 px"
-    assert said(left=(5, 10), right=(16, 10)).endswith("the other side, at (16, 10), is 11.0 px from it, more than 9 px")
+    assert said(left=(5, 10), right=(16, 10)).endswith("side, at (16, 10), is 11.0 px from it, more than 9 px")
     assert said(up=(10, 5), down=(10, 15)).endswith("(10, 15), is another one: its depth is 2, not 3")
     hidden.remove((10, 15))
     assert said(up=(10, 5), down=(10, 15)) == f"{far}the mover on the other side, at (10, 15), has no hidden part here"
