@@ -613,6 +613,10 @@ def test_saved_pictures_name_frame_layers_and_settings(session):
     model.comparison.with_layer("truth")
     assert titles()[1:3] == ["A  frame: Final   defaults", "B  frame: Ground truth"]
     assert model.legends()[0].legend.unit == "of display values"
+    for overlay, region, said in (("regions", -1, "tinted by regions"), ("regions", 1, "dimmed outside the region")):
+        model.view.overlay, model.view.region = overlay, region
+        assert model.legends()[0].legend.unit == f"of display values, {said}"
+    model.view.overlay = "none"
     model.comparison.set("flip error")
     assert model.legends()[0].legend.unit.startswith("FLIP")
     model.settings.legends = False

@@ -87,7 +87,7 @@ class Model(Opening):
         self.pointing = Pointing(self.store)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
-        self.worst = WorstPixels(self.view, self.contents)
+        self.worst = WorstPixels(self.view, self.contents, self.looks)
         shown, settled = self.comparison.shown, lambda: self.settled
         subject = Subject(self.contents, self.playback, self.view, shown, self._legends, settled)
         self.saving = Saving(subject, self.say)
@@ -275,8 +275,7 @@ class Model(Opening):
         found, reason = self.worst.update()
         if found is not None:
             self.walk.go_to_pixel(found.pixel)
-            x, y = found.pixel
-            self.say(f"error {found.error:.4g} at ({x}, {y}): number {found.rank} of the slot")
+            self.say(found.text)
         elif reason:
             self.say(reason)
 
@@ -497,23 +496,32 @@ class Model(Opening):
         self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
 
     def take_b_from(self, place: str) -> None:
-        """Compare with what is stored at `place`: kernels, with the present settings, the pictures of a sequence, or
-        figures of frames."""
-        folder = Path(place).expanduser().absolute()
+        """Compare as `load_b` does. Errors give a message."""
         try:
-            if folder.is_file():
-                self.survey.baseline = baseline = Baseline.load(folder)
-                self.comparison.without_settings()
-                self.say(f"B is the figures of {baseline.name}: the plot and Regions show them beside A's")
-                return
-            if next(folder.glob("*.cl"), None) is not None:
-                kernels = self.engine.take_kernels(folder)
-                kept = self.kept.keep(self.setup, kernels, folder)
-            else:
-                kept = self.kept.keep_stored(str(folder), self.setup.options)
-        except (GffeError, OSError) as error:
+            self.load_b(place)
+        except GffeError as error:
             self.say(str(error), error=True)
+
+    def load_b(self, place: str) -> None:
+        """Compare with what is stored at `place`: kernels, with the present settings, the pictures of a sequence, or
+        figures of frames. Raises GffeError."""
+        if self.follows:
+            raise GffeError("freeze the running program first")
+        folder = Path(place).expanduser().absolute()
+        if folder.is_file():
+            self.survey.baseline = baseline = Baseline.load(folder)
+            self.comparison.without_settings()
+            self.say(f"B is the figures of {baseline.name}: the plot and Regions show them beside A's")
             return
+        try:
+            has_kernels = next(folder.glob("*.cl"), None) is not None
+            kernels = self.engine.take_kernels(folder) if has_kernels else ""
+        except OSError as error:
+            raise GffeError(f"{folder}: {error.strerror or error}") from None
+        if has_kernels:
+            kept = self.kept.keep(self.setup, kernels, folder)
+        else:
+            kept = self.kept.keep_stored(str(folder), self.setup.options)
         self.comparison.with_settings(kept.name)
         if self.view.compare == "off":
             self.comparison.set("split")
