@@ -24,15 +24,6 @@
 INLINE int block_columns(const int width) { return (width + BLOCK_WIDTH - 1) / BLOCK_WIDTH; }
 INLINE int block_rows(const int height) { return (height + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT; }
 
-/* Whether RUN pixels of a row from x on, which is a multiple of RUN, are all warped backward or copied: nothing is
-   left to fill there. */
-INLINE bool run_is_backward(const int x, const int y, const int width, __global const uchar *block_class) {
-    const int row = y / BLOCK_HEIGHT * block_columns(width), last = min(x + RUN, width) - 1;
-    for (int column = x / BLOCK_WIDTH; column <= last / BLOCK_WIDTH; ++column)
-        if (block_class[row + column] == SPLATTED) return false;
-    return true;
-}
-
 /* Index of the block of pixel (x, y). */
 INLINE int block_of(const int x, const int y, const int width) {
     return y / BLOCK_HEIGHT * block_columns(width) + x / BLOCK_WIDTH;

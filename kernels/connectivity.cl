@@ -3,7 +3,7 @@
    Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
 #include "frame.h"
-#include "simd.h"
+#include "stencil.h"
 #include "nearest.h"
 #include "blocks.h"
 
@@ -32,22 +32,20 @@ typedef struct {
     __global const uchar *dynamic_mask;
 } Place;
 
-/* Depth of the pixels at an offset, NaN outside of the image. */
-INLINE Floats depth_beside(const Place p, const int dx, const int dy) {
-    if (p.inner) return load_floats(0, p.depth + (p.y + dy) * p.width + p.x + dx);
-    if (p.y + dy < 0 || p.y + dy >= p.height) return (Floats)(NAN);
-    const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
-    const Floats z = gather_floats(p.depth + (p.y + dy) * p.width, there);
-    return x == there ? z : (Floats)(NAN);
+INLINE Span span_of(const Place p) {
+    const Span s = {p.x, p.y, p.width, p.height, p.inner};
+    return s;
 }
 
-/* Whether they are dynamic, 0 outside. */
+/* Depth of the pixels at an offset, NaN outside of the image; and whether they are dynamic, 0 outside. */
+INLINE Floats depth_beside(const Place p, const int dx, const int dy) {
+    const Floats z = beside(span_of(p), p.depth, dx, dy);
+    return is_inside(span_of(p), dx, dy) ? z : (Floats)(NAN);
+}
+
 INLINE Ints dynamic_beside(const Place p, const int dx, const int dy) {
-    if (p.inner) return to_ints(load_bytes(0, p.dynamic_mask + (p.y + dy) * p.width + p.x + dx));
-    if (p.y + dy < 0 || p.y + dy >= p.height) return (Ints)(0);
-    const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
-    const Bytes dynamic = gather_bytes(p.dynamic_mask + (p.y + dy) * p.width, there);
-    return x == there ? to_ints(dynamic) : (Ints)(0);
+    const Ints dynamic = bytes_beside(span_of(p), p.dynamic_mask, dx, dy);
+    return is_inside(span_of(p), dx, dy) ? dynamic : (Ints)(0);
 }
 
 /* Gives which of them have nothing dynamic within GROW. */

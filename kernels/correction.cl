@@ -101,13 +101,8 @@ INLINE void head_of(__constant float *head, const Floats *seen, Floats *said) {
 /* Four pixels of a quarter of the resolution's planes make 2x2 pixels of half of it: those of the pixels from (x, y)
    on, of the planes of one channel. */
 INLINE Floats load_detail(__global const float *planes, const int plane, const int x, const int y, const int width) {
-    __global const float *left = planes + 2 * (y & 1) * plane + (y >> 1) * width + (x >> 1);
-#if LANES == 8
-    const float4 even = vload4(0, left), odd = vload4(0, left + plane);
-    return (float8)(even.x, odd.x, even.y, odd.y, even.z, odd.z, even.w, odd.w);
-#else
-    return left[(x & 1) * plane];
-#endif
+    __global const float *row = planes + 2 * (y & 1) * plane + (y >> 1) * width;
+    return load_in_turns(row, row + plane, x);
 }
 
 /* The difference between `now`, moved from a place along the flow, and the color here, within CHANGE_MARGIN times the
@@ -131,16 +126,10 @@ INLINE Ints is_trusted_around(__global const float *trusted, const int width, co
 #pragma unroll
     for (int dy = -1; dy <= 1; ++dy) {
         __global const float *row = trusted + clamp((y >> 1) + dy, 0, height - 1) * width;
-#if LANES == 8
-        const int first = (x >> 1) - 1;
-        if (first >= 0 && first + LANES <= width) {
-            const float8 near = vload8(0, row + first);
-            sum += near.s00112233 + near.s11223344 + near.s22334455;
-            continue;
-        }
-#endif
+        const bool inner = LANES > 1 && x >= 2 && (x >> 1) + LANES / 2 < width;
         for (int dx = -1; dx <= 1; ++dx)
-            sum += gather_floats(row, clamp(((x + LANE_NUMBERS) >> 1) + dx, (Ints)(0), (Ints)(width - 1)));
+            sum += inner ? load_doubled(row + (x >> 1) + dx)
+                         : gather_floats(row, clamp(((x + LANE_NUMBERS) >> 1) + dx, (Ints)(0), (Ints)(width - 1)));
     }
     return !(sum == 0.0f);
 }
@@ -208,19 +197,11 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
         copy_rgb_run(color, out);
         return;
     }
-    int lane_holds[LANES];
-    float r[LANES], g[LANES], b[LANES];
-    store_ints(holds, 0, lane_holds);
-    store_floats(c.r, 0, r);
-    store_floats(c.g, 0, g);
-    store_floats(c.b, 0, b);
-    for (int k = 0; k < min(count, LANES); ++k) {
-        if (lane_holds[k]) {
-            store_color((float3)(r[k], g[k], b[k]), out, k);
-        } else {
+    for (int k = 0; k < min(count, LANES); ++k)
+        if (int_of(&holds, k))
+            store_color((float3)(float_of(&c.r, k), float_of(&c.g, k), float_of(&c.b, k)), out, k);
+        else
             ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
-        }
-    }
 }
 
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that

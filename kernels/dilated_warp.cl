@@ -76,19 +76,12 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
     const Ints reached = word != NOBODY;
     Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);
     if (!ALL(reached)) {
-        int lane_reached[LANES];
-        float lane_x[LANES], lane_y[LANES];
-        store_ints(reached, 0, lane_reached);
-        store_floats(from_x, 0, lane_x);
-        store_floats(from_y, 0, lane_y);
         for (int k = 0; k < min(LANES, count); ++k) {
-            if (lane_reached[k]) continue;
+            if (int_of(&reached, k)) continue;
             const float2 from = place_beside(frame, keys, winners, target_position + 2 * plane, x + k, y);
-            lane_x[k] = from.x;
-            lane_y[k] = from.y;
+            set_float(&from_x, k, from.x);
+            set_float(&from_y, k, from.y);
         }
-        from_x = load_floats(0, lane_x);
-        from_y = load_floats(0, lane_y);
     }
     const Floats center_x = row_centers(x);
     const float center_y = (float)y + 0.5f;

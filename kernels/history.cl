@@ -62,10 +62,8 @@ INLINE Ints static_residual(const Ints src_x, const int src_y, const int width, 
 
 /* Adds 1 to those bins that are not negative. */
 INLINE void count_bins(__local int *histogram, const Ints bin) {
-    int bins[LANES];
-    store_ints(bin, 0, bins);
     for (int k = 0; k < LANES; ++k)
-        if (bins[k] >= 0) atomic_inc(histogram + bins[k]);
+        if (int_of(&bin, k) >= 0) atomic_inc(histogram + int_of(&bin, k));
 }
 
 /* Adds 1 to the bins of squared residuals. */
@@ -514,16 +512,13 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));
     store_some_bytes(mask, count, dynamic_mask + src);
     if (!ANY(moves | may_stay | stirs)) return;
-    uchar label[LANES];
-    int lane_may_stay[LANES], lane_stirs[LANES], first = LANES, last = -1;
-    store_bytes(mask, 0, label);
-    store_ints(may_stay, 0, lane_may_stay);
-    store_ints(stirs, 0, lane_stirs);
+    int first = LANES, last = -1;
     for (int lane = 0; lane < count; ++lane) {
-        if (lane_may_stay[lane] && is_fixed(src_x + lane, src_y, frame, frames))
-            dynamic_mask[src + lane] = label[lane] = FIXED_TO_CAMERA;
-        if (label[lane] != STATIC) find_history(src_x + lane, src_y, frame, frames);
-        if (label[lane] == STATIC && !lane_stirs[lane]) continue;
+        const bool stays = int_of(&may_stay, lane) && is_fixed(src_x + lane, src_y, frame, frames);
+        const bool is_dynamic = stays || int_of(&moves, lane);
+        if (stays) dynamic_mask[src + lane] = FIXED_TO_CAMERA;
+        if (is_dynamic) find_history(src_x + lane, src_y, frame, frames);
+        if (!is_dynamic && !int_of(&stirs, lane)) continue;
         first = min(first, lane);
         last = lane;
     }

@@ -2,9 +2,16 @@
    A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose. */
 
 #include "frame.h"
-#include "cubic.h"
+#include "rgb.h"
 
 #define PRESENTED_ROWS 16  /* rows per work-item: rows filtered horizontally serve several of them */
+
+/* Cubic weights (Catmull-Rom) of the four taps around t in [0, 1). */
+INLINE float4 cubic_weights(const float t) {
+    const float t2 = t * t, t3 = t2 * t;
+    return (float4)(-0.5f * t + t2 - 0.5f * t3, 1.0f - 2.5f * t2 + 1.5f * t3, 0.5f * t + 2.0f * t2 - 1.5f * t3,
+                    0.5f * t3 - 0.5f * t2);
+}
 
 INLINE float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
     return lesser(greater(w.x * a + w.y * b + w.z * c + w.w * d, lesser(b, c)), greater(b, c));

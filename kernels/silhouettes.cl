@@ -208,14 +208,11 @@ WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const 
     }
     const Ints side = d.z[4] < d.middle ? (Ints)(NEAR) : (Ints)(FAR);
     store_some_bytes(to_bytes(part ? side : (Ints)(NO_LAYER)), count, layer + src);
-    int lane_part[LANES], lane_colors[LANES], lane_shares[LANES];
-    store_ints(part, 0, lane_part);
-    store_ints(pack_colors(colors[0], colors[1], colors[2]), 0, lane_colors);
-    store_ints(to_ints(SHARES * shares + 0.5f), 0, lane_shares);
-    for (int k = 0; k < min(count, LANES); ++k) {
-        if (!lane_part[k]) continue;
-        behind[src + k] = (uint)lane_colors[k];
-        share[src + k] = (uchar)lane_shares[k];
+    const Ints packed = pack_colors(colors[0], colors[1], colors[2]), bytes = to_ints(SHARES * shares + 0.5f);
+    for (int k = 0; k < count; ++k) {
+        if (!int_of(&part, k)) continue;
+        behind[src + k] = (uint)int_of(&packed, k);
+        share[src + k] = (uchar)int_of(&bytes, k);
         mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height,
                     marked);
     }
@@ -477,9 +474,9 @@ INLINE Ints find_soft(const int dst_x, const int dst_y, const Source s, const La
 /* The group's pixels, a block after the other, so that one without a mark costs nothing; then those that are soft,
    which are gathered in `held`: (the near layer's place and depth, its far one << SOFT_BITS | number of the pixel). */
 #define SOFT_BITS 7 /* of the number of a work-item of a group, of 16x8 */
-INLINE void soften_group(const Source s, const Layers l, const Shown f, __global const uchar *marked,
-                         __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
-                         __local uint *shared) {
+INLINE void soften_pixels(const Source s, const Layers l, const Shown f, __global const uchar *marked,
+                          __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
+                          __local uint *shared) {
     const int item = get_local_id(1) * get_local_size(0) + get_local_id(0);
     const int group_x = get_global_id(0) - get_local_id(0), group_y = get_global_id(1) - get_local_id(1);
     const int block = item / (BLOCK_WIDTH * BLOCK_HEIGHT), of_block = item % (BLOCK_WIDTH * BLOCK_HEIGHT);
@@ -513,24 +510,27 @@ INLINE void soften_group(const Source s, const Layers l, const Shown f, __global
     append_lanes(covered != 0, (uint)dst, soft, shared);
 }
 #else
-/* The coverage of `count` pixels, at most LANES, and their new colors. */
-INLINE void soften_run(const int dst_x, const int dst_y, const int count, const Source s, const Layers l, const Shown f,
-                       __global uint *softened, uchar *coverage) {
+#define SOFT_BITS 0 /* nothing is shared */
+INLINE void soften_pixels(const Source s, const Layers l, const Shown f, __global const uchar *marked,
+                          __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
+                          __local uint *shared) {
+    (void)held, (void)shared;
+    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), count = min(f.width - dst_x, LANES);
+    if (dst_x >= f.width || dst_y >= f.height || !marked[block_of(dst_x, dst_y, f.width)]) return;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
     Ints paired;
     const Ints is_soft = find_soft(dst_x, dst_y, s, l, f, &pairs, &paired);
-    if (!ANY(is_soft)) return;
-    int lane_soft[LANES], lane_far[LANES];
-    float lane_x[LANES], lane_y[LANES], lane_z[LANES];
-    store_ints(is_soft, 0, lane_soft);
-    store_ints(paired ? pairs.far : (Ints)(0), 0, lane_far);
-    store_floats(pairs.near_x, 0, lane_x);
-    store_floats(pairs.near_y, 0, lane_y);
-    store_floats(pairs.near_z, 0, lane_z);
-    for (int k = 0; k < count; ++k)
-        if (lane_soft[k])
-            coverage[k] = soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
-                                       lane_far[k], softened);
+    Bytes covered = 0;
+    for (int k = 0; ANY(is_soft) && k < count; ++k) {
+        if (!int_of(&is_soft, k)) continue;
+        const float3 near =
+            (float3)(float_of(&pairs.near_x, k), float_of(&pairs.near_y, k), float_of(&pairs.near_z, k));
+        const int far = int_of(&paired, k) ? int_of(&pairs.far, k) : 0;
+        const uchar own = soften_pixel(s, l, f, dst_x + k, dst_y, near, far, softened);
+        set_byte(&covered, k, own);
+        if (own) append((uint)(dst_y * f.width + dst_x + k), soft);
+    }
+    store_some_bytes(covered, count, coverage + dst_y * f.width + dst_x);
 }
 #endif
 
@@ -556,20 +556,9 @@ LISTS __kernel void soften(__constant Frame *restrict frame, __global const ucha
                      .depth = depth,
                      .motion = motion,
                      .filled_by = filled_by};
-#if LANES == 1
     __local int4 held[1 << SOFT_BITS];
     __local uint shared[2];
-    soften_group(s, l, f, marked, softened, coverage, soft, held, shared);
-#else
-    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), dst = dst_y * target_width + dst_x;
-    const int count = min(target_width - dst_x, LANES);
-    uchar own[LANES] = {0};
-    if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
-    soften_run(dst_x, dst_y, count, s, l, f, softened, own);
-    store_some_bytes(load_bytes(0, own), count, coverage + dst);
-    for (int k = 0; k < count; ++k)
-        if (own[k]) append((uint)(dst + k), soft);
-#endif
+    soften_pixels(s, l, f, marked, softened, coverage, soft, held, shared);
 }
 
 /* The new colors go to the frame. */

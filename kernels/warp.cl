@@ -75,15 +75,10 @@ INLINE Ints tile_within(const Floats x, const Floats y, const Boxes box) {
    `middle`. */
 INLINE void offer_tile(const Ints covers, const Ints middle, const Floats z, const int src, const int width,
                        const Winners to, const int pass) {
-    int lane_covers[LANES], lane_middle[LANES];
-    float lane_z[LANES];
-    store_ints(covers, 0, lane_covers);
-    store_ints(middle, 0, lane_middle);
-    store_floats(z, 0, lane_z);
     for (int lane = 0; lane < LANES; ++lane)
-        for (int left = lane_covers[lane]; left; left &= left - 1) {
+        for (int left = int_of(&covers, lane); left; left &= left - 1) {
             const int k = 31 - clz(left & -left), dy = (k * 11) >> 5, dx = k - 3 * dy;
-            offer(pass, to.keys, to.winners, lane_middle[lane] + (dy - 1) * width + dx - 1, lane_z[lane],
+            offer(pass, to.keys, to.winners, int_of(&middle, lane) + (dy - 1) * width + dx - 1, float_of(&z, lane),
                   (uint)(src + lane));
         }
 }
@@ -147,15 +142,7 @@ WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __glo
                          __global uint *winners, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
     if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = 0;
-    const Fragments from = {.depth = depth,
-                            .target_position = target_position,
-                            .links = links,
-                            .width = width,
-                            .height = height,
-                            .plane = width * height,
-                            .target_width = frame->target_width,
-                            .target_height = frame->target_height,
-                            .zoom = frame->zoom};
+    const Fragments from = fragments_of(frame, depth, target_position, links);
     const Winners to = {keys, winners};
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
     if (src_x >= width || src_y >= height) return;
@@ -399,15 +386,7 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global uchar *filled_by, __global uchar *mixed, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments from = {.depth = depth,
-                            .target_position = target_position,
-                            .links = links,
-                            .width = width,
-                            .height = height,
-                            .plane = width * height,
-                            .target_width = target_width,
-                            .target_height = target_height,
-                            .zoom = frame->zoom};
+    const Fragments from = fragments_of(frame, depth, target_position, links);
     const Rendered shown = {
         .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
     const Winners winning = {keys, winners};
@@ -443,12 +422,8 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
         }
         resample_lanes(samples, won.exist, width, shown, dst, out_color);
     }
-    if (ANY(entries != NOBODY)) {
-        uint lane_entry[LANES];
-        store_ints(entries, 0, lane_entry);
-        for (int k = 0; k < LANES; ++k)
-            if (lane_entry[k] != NOBODY) leave_open(lane_entry[k], winning, to, unfilled_label);
-    }
+    for (int k = 0; ANY(entries != NOBODY) && k < LANES; ++k)
+        if (uint_of(&entries, k) != NOBODY) leave_open(uint_of(&entries, k), winning, to, unfilled_label);
     __local uint shared[2];
     append_lanes(entries != NOBODY, entries, open, shared);
 }

@@ -100,7 +100,10 @@ GAE: dict[str, Change] = {
     "nothing is collected after a reset": Change(
         edits={
             "connectivity.cl": {"if (!collect) return;": ""},
-            "background.cl": {"if (!frame->has_previous) {": "if (false) {"},
+            "background.cl": {
+                "from_level != level || !frame->has_previous": "from_level != level",
+                "if (!frame->has_previous) return;": "",
+            },
         }
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),

@@ -27,6 +27,7 @@ from gffe_cl.engine.inspection.attached.encoding import encoded
 from gffe_cl.viewer.engine.sources.attached import resolved
 from gffe_cl.viewer.engine.sources.program import RunningProgram
 from gffe_cl.viewer.state.model import Model
+from gffe_cl.viewer.state.saving import RecordingWork
 from gffe_cl.viewer.state.settings import Settings
 
 W, H = 160, 96
@@ -552,7 +553,7 @@ def test_viewer_follows_switches_and_freezes(device, program, looking, tmp_path,
     assert model.contents.result.moment == moment
 
     monkeypatch.chdir(tmp_path)
-    model.save_recording()
+    model.saving.start(lambda subject: RecordingWork(subject, model.recording))
     looking.until(lambda: model.saving.work is None)
     assert (tmp_path / "game_recorded" / "sequence.json").exists()
     code, said, _ = gffe("check", "game_recorded")

@@ -15,6 +15,7 @@ import numpy as np
 
 from gffe_cl.captures.formats.importing import import_capture
 from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
 from ..engine.background import Background
 from ..picture.canvas import read
 from ..picture.current_frame import Contents
@@ -158,7 +159,8 @@ class LayersWork(Work):
 class RecordingWork(Work):
     """Writing of a running program's frames as a sequence in a new folder."""
 
-    def __init__(self, subject: Subject, sequence: Sequence):
+    def __init__(self, subject: Subject, recording: Callable[[], Sequence]):
+        sequence = recording()
         super().__init__(subject, subject.unused("recorded", ""), len(sequence.rendered))
         self._start(lambda: self._write(sequence))
 
@@ -248,8 +250,11 @@ class Saving:
         self._say(f"saves into {folder}" if folder.is_dir() else f"{folder}: no such folder", not folder.is_dir())
 
     def start(self, work: Callable[[Subject], Work]) -> None:
-        """Start saving in the background."""
-        self.work = work(self.subject)
+        """Start saving in the background, or say why there is nothing to save."""
+        try:
+            self.work = work(self.subject)
+        except GffeError as error:
+            self._say(str(error), True)
 
     def advance(self, canvas) -> None:
         """Go on with it. Call once per frame of the interface."""

@@ -15,7 +15,7 @@ from ..state.actions import Action
 from ..state.comparing import FORMULAS
 from ..state.model import Model
 from ..state.parameters import ALL
-from ..state.presets import Kept
+from ..state.presets import Kept, command_line
 from .workspace import Workspace
 
 _EXPOSURE_STEP = 0.5
@@ -81,7 +81,8 @@ def register(app: Workspace) -> None:
         attached, checked=lambda: model.follows,
         tooltip="On: its frames as they come, also of the next program of its name. "
         "Off: its last rendered frames, frozen")  # fmt: skip
-    add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
+    add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S",
+        partial(model.saving.start, partial(saving.RecordingWork, recording=model.recording)),
         lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
         tooltip="The rendered frames as a sequence, for gffe check")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
@@ -126,10 +127,11 @@ def register(app: Workspace) -> None:
     add("zoom_in", "Zoom in", "View", "+", lambda: model.framing.zoom_in(app.canvas_size, model.pointing.picked),
         opened, also=("=",), tooltip="Zoom in at the picked pixel if it is seen, else at the middle")  # fmt: skip
     add("zoom_out", "Zoom out", "View", "-", lambda: model.framing.zoom(0.5), opened)
-    add("next_layer", "Next layer", "View", "Down", lambda: model.next_layer(1), opened, repeat=True)
-    add("previous_layer", "Previous layer", "View", "Up", lambda: model.next_layer(-1), opened, repeat=True)
+    add("next_layer", "Next layer", "View", "Down", lambda: model.walk.next_layer(1), opened, repeat=True)
+    add("previous_layer", "Previous layer", "View", "Up", lambda: model.walk.next_layer(-1), opened, repeat=True)
     add("next_channel", "Next channel", "View", "C", look(model.looks.next_channel), opened)
-    add("overview", "Overview of all layers", "View", "O", lambda: model.set_overview(not model.overview), opened,
+    add("overview", "Overview of all layers", "View", "O",
+        lambda: setattr(model, "overview", not model.overview), opened,
         checked=lambda: model.overview)  # fmt: skip
     add("disocclusions", "Disocclusions", "View", "X",
         lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
@@ -185,7 +187,7 @@ def _copying(app: Workspace, add, savable) -> None:
 
     def value():
         at, stale = model.values
-        return "" if at is None or stale else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+        return "" if at is None or stale else copying.value_of(model.contents, model.captions.frame, model.view.a, at)
 
     def no_numbers():
         image = model.contents.image(model.view.a)
@@ -226,18 +228,19 @@ def _comparing(app: Workspace, add, opened) -> None:
         return reason or ("B is pictures, not settings" if model.kept.b and model.kept.b.place else None)
 
     def copy(kept: Kept | None = None):
-        app.copy(printable(model.command_line(model.setup if kept is None else kept.setup(model.n))))
+        setup = model.setup if kept is None else kept.setup(model.n)
+        app.copy(printable(command_line(setup, model.source, model.plan.seed)))
 
-    add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
+    add("keep", "Keep settings as B", "Compare", "K", model.sides.keep, opened,
         tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
-    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second,
+    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.sides.take_second,
         lambda: opened() or no_settings())  # fmt: skip
     add("b_from", "B from a folder …", "Compare", "Ctrl+K",
-        lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.take_b_from),
+        lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.sides.take_b_from),
         lambda: opened() or ("freeze the running program first" if model.follows else None),
         tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels")  # fmt: skip
     add("b_baseline", "B from stored figures …", "Compare", "Alt+B",
-        lambda: app.open_dialog("Compare with stored figures", model.take_b_from, of_file=True),
+        lambda: app.open_dialog("Compare with stored figures", model.sides.take_b_from, of_file=True),
         lambda: opened() or ("freeze the running program first" if model.follows else None),
         tooltip="A baseline that the viewer has stored, or the JSON of gffe compare: its figures are B's")  # fmt: skip
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
@@ -293,7 +296,8 @@ def _finding(app: Workspace, add, opened, savable) -> None:
         add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
             lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
             tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
-    add("next_invalid", "Next invalid pixel", "Find", "Shift+N", model.go_to_invalid,
+    add("next_invalid", "Next invalid pixel", "Find", "Shift+N",
+        lambda: model.walk.go_to_pixel(model.invalid.next(model.pointing.picked)),
         lambda: opened() or (None if model.invalid.count else "no NaN, infinity or invalid input in this picture"),
         tooltip="NaN, infinity, and pixels that the input has invalid; row by row")  # fmt: skip
     add("back", "Back to where the link was", "Find", "Backspace", model.walk.back,

@@ -124,7 +124,7 @@ def _quality(model: Model) -> None:
     widgets.toggle(
         "measure",
         model.measuring,
-        model.set_measuring,
+        lambda on: setattr(model, "measuring", on),
         f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
     )
     survey = model.survey

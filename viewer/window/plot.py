@@ -106,7 +106,8 @@ def scale_of(least: float, most: float, count: float = 5.0) -> tuple[float, floa
         for factor in (1, 2, 5)
         if (high - low) / (factor * 10.0**power) <= 5
     )
-    levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    numbers = range(math.ceil(low / step), math.floor(high / step) + 1)
+    levels = [min(max(number * step, low), high) for number in numbers]  # they may lie beyond by rounding
     if len(levels) > count:
         levels = [levels[0], levels[-1]] if (levels[-1] - levels[0]) / (high - low) * count >= 1 else []
     digits = max(-math.floor(math.log10(step)), 0)
