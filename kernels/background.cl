@@ -217,8 +217,7 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
     const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
     const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
     if (texel_x >= level_width || texel_y >= level_height) return;
-    if (frame->rests && last_level == 0 && frame->number - last_stir[block_of(texel_x, texel_y, source_width)] > 1)
-        return; /* all of them are shown, stay where they are, and the texels around are taken */
+    if (collects_nothing(block_of(texel_x, texel_y, source_width), frame, last_stir)) return;
     const int texel = texel_y * level_width + texel_x;
     const Collection to = {.width = source_width,
                            .height = source_height,

@@ -171,7 +171,7 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
     if (bx >= source_blocks || by >= block_rows(source_height)) return;
-    if (frame->stays && last_stir[by * source_blocks + bx] != frame->number) {
+    if (stays_put(by * source_blocks + bx, frame, last_stir)) {
         smooth[by * source_blocks + bx] = RESTING;
         reach[by * source_blocks + bx] = (short4)(bx, by, bx, by);
         return;

@@ -241,12 +241,6 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     for (int k = 0; k < count; ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-/* Whether a block's links, and the state of its texels, are what they were in the last two frames, in which they were
-   found alike: the memory of both is that of the frame before the last. */
-INLINE bool is_known(const int block, __constant Frame *frame, __global const int *last_stir) {
-    return frame->rests >= 3 && !(frame->collects && frame->levels > 1) && frame->number - last_stir[block] > 2;
-}
-
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
            __global const int *last_stir, __global uchar *links, __global uchar *state, __global Key *fill_keys,
@@ -261,7 +255,7 @@ find_links(__constant Frame *frame, __global const float *depth, __global const 
                            .push_winners = push_winners};
 #if LANES == 8
     if (src_x >= source_width || src_y >= source_height) return;
-    if (is_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
+    if (links_are_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
     const bool inner =
         src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
@@ -278,7 +272,7 @@ find_links(__constant Frame *frame, __global const float *depth, __global const 
     for (int column = lane; column < COLUMNS; column += GROUP)
         load_column(column, first_x + column, src_y - REACH, source_width, source_height, depth, dynamic_mask, &tile);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (src_x >= source_width || is_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
+    if (src_x >= source_width || links_are_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
     const Place p = {source_width, source_height, src_x, src_y, lane, &tile};
     find(p, collect, frame->levels == 1, links, to);
 #endif

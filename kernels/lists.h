@@ -5,7 +5,7 @@
 #include "simd.h"
 
 #define WALK_GROUP 64 /* work-items of a group that walks a list ... */
-#define TEAM (LANES == 1 ? 8 : 1) /* ... and of a team, which works on one pixel */
+#define TEAM (LANES == 1 ? 8 : 2) /* ... and of a team, which works on one pixel: CPUs have no room for more teams */
 #define TEAMS (WALK_GROUP / TEAM)
 #define MIXED_FLAG 0x80000000u /* of an entry of warp.open: the pixel is no hole, but mixed */
 

@@ -126,9 +126,9 @@ INLINE void load_given(__global const float *given, const int type, const int ch
 }
 
 /* NaN counts as 0; infinities and values beyond half are clamped. */
-INLINE void take(__constant Frame *frame, __global const float *given, const int type, const int channels,
+INLINE void take(const int width, const int height, __global const float *given, const int type, const int channels,
                  __global half *color, __global uchar *bad_pixels) {
-    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
+    const int y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     int infinite = 0, clamped = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
@@ -152,21 +152,22 @@ INLINE void take(__constant Frame *frame, __global const float *given, const int
     store_counts(width, height, infinite, clamped, bad_pixels);
 }
 
-WIDE __kernel void take_floats(__constant Frame *restrict frame, __global const float *given, const int start,
+WIDE __kernel void take_floats(const int width, const int height, __global const float *given, const int start,
                                const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(frame, given + start, FLOAT32, channels, color, bad_pixels);
+    take(width, height, given + start, FLOAT32, channels, color, bad_pixels);
 }
 
-WIDE __kernel void take_halves(__constant Frame *restrict frame, __global const half *given, const int start,
+WIDE __kernel void take_halves(const int width, const int height, __global const half *given, const int start,
                                const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(frame, (__global const float *)(given + start), FLOAT16, channels, color, bad_pixels);
+    take(width, height, (__global const float *)(given + start), FLOAT16, channels, color, bad_pixels);
 }
 
 /* Color of any type that a description allows, on its way from host or device. */
 WIDE __kernel void convert_color(__constant Frame *restrict frame, __global const uchar *given, const int start,
                                  __global half *color, __global uchar *bad_pixels) {
     const int type = frame->given_types.x;
-    take(frame, given_from(given, type, start), type, frame->given_channels.x, color, bad_pixels);
+    take(frame->source_width, frame->source_height, given_from(given, type, start), type, frame->given_channels.x,
+         color, bad_pixels);
 }
 
 /* Bad is depth that is NaN, not positive or denormal. Finite depth beyond DEPTH_MOST becomes sky. */
@@ -196,18 +197,15 @@ INLINE void check_motion(Floats *x, Floats *y, const int count, const float diag
     }
 }
 
-INLINE float diagonal_squared_of(__constant Frame *frame) {
-    const float width = frame->source_width, height = frame->source_height;
-    return width * width + height * height;
-}
+INLINE float diagonal_squared_of(const float width, const float height) { return width * width + height * height; }
 
 /* Input and output may be the same buffer. */
-WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global const float *given_depth,
+WIDE __kernel void take_geometry(const int width, const int height, __global const float *given_depth,
                                  const int depth_start, __global const float *given_motion, const int motion_start,
                                  __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
-    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
+    const int y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
-    const float diagonal_squared = diagonal_squared_of(frame);
+    const float diagonal_squared = diagonal_squared_of(width, height);
     int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
         const int x = run_x(width, k), count = width - x, i = y * width + x;
@@ -291,7 +289,7 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
     __global const float *depths = given_from(given_depth, depth_type, depth_start);
     __global const float *vectors = given_from(given_motion, motion_type, motion_start);
     const float4 numbers = frame->given_motion;  /* factors and addends of x and y */
-    const float diagonal_squared = diagonal_squared_of(frame);
+    const float diagonal_squared = diagonal_squared_of(frame->source_width, frame->source_height);
     int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
         const int x = run_x(width, k), count = width - x, i = y * width + x;

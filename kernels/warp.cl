@@ -8,6 +8,7 @@
 #include "nearest.h"
 #include "flow.h"
 #include "blocks.h"
+#include "layers.h"
 #include "lists.h"
 #include "thresholds.h"
 
@@ -134,18 +135,23 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
     return false;
 }
 
-/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Empties the list
-   of open pixels. */
+/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Finds layers for
+   silhouettes, too, which need the same positions. Empties the lists of open and of soft pixels. */
 WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
                          __global const uchar *links, __global const float *target_position,
-                         __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
-                         __global uint *winners, __global uint *open) {
+                         __global const short4 *reach, __global const uchar *block_class, __global const uchar *smooth,
+                         __global const half *codes, __global Key *keys, __global uint *winners, __global uchar *layer,
+                         __global uint *behind, __global uchar *share, __global uchar *marked, __global uint *open,
+                         __global uint *soft) {
     const int width = frame->source_width, height = frame->source_height;
-    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = 0;
+    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = soft[0] = 0;
     const Fragments from = fragments_of(frame, depth, target_position, links);
     const Winners to = {keys, winners};
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
     if (src_x >= width || src_y >= height) return;
+    const FoundLayers layers = {.layer = layer, .behind = behind, .share = share, .marked = marked};
+    if (frame->softens && pass == 0)
+        find_layers(src_x, src_y, frame, depth, links, smooth, target_position, codes, layers);
     if (frame->blocks && frame->crack_closing
         && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame->target_width, block_class))
         return;

@@ -363,6 +363,14 @@ class Options:
         flag="--no-focus-mask",
         needs="shading_correction",
     )
+    image_flow: bool = _option(
+        True,
+        "image flow",
+        "Effects without depth, shadows and reflections: moved half way along the flow of the image where that explains"
+        " the last frames and motion vectors do not; off: they move with the surface behind.",
+        flag="--no-image-flow",
+        needs="shading_correction",
+    )
     scn_model: str | None = _option(
         None,
         "network",

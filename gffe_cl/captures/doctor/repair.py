@@ -54,10 +54,12 @@ class Repair:
         self._read = lru_cache(_KEPT)(lambda index: made.read(made.rendered[index]))
         self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
-        self._shifts, self._alone = (
-            {clip.rendered[one["frame"]].time: np.array(one["matrix"]) for one in figures}
-            for figures in ([f.figures for f in diagnosis.faults if f.name == name] for name in (ORIGIN_SHIFTED, ONE_OFF))
-        )
+
+        def matrices(name: str) -> dict[float, np.ndarray]:
+            figures = [fault.figures for fault in diagnosis.faults if fault.name == name]
+            return {clip.rendered[one["frame"]].time: np.array(one["matrix"]) for one in figures}
+
+        self._shifts, self._alone = matrices(ORIGIN_SHIFTED), matrices(ONE_OFF)
         self._comparisons: list[tuple[str, ResidualChange]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
         count = len(made.rendered)

@@ -127,6 +127,8 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
     mask = f"focus mask {float(values[names.FOCUS_MASK][0]):.2f}"
     if not pipeline.options.focus_mask:
         mask += ", which is off"
+    if pipeline.options.image_flow and values[names.FOLLOWED][0]:
+        mask += "; half of it from along the flow of the image"
     colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
     said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
     step = Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
@@ -184,7 +186,7 @@ def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]
     there = _to_source(shot, source_px)
     if reached:
         return (Step(f"It comes from {where}, with the motion of the nearest of 3×3 pixels there.", *there),)
-    said = "No fragment of that frame lands here: it moves as the nearest surface beside it."
+    said = "No fragment of that frame lands here: it moves as the nearest surface beside it, or a mover that has left."
     return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
 
 
