@@ -576,7 +576,7 @@ def test_the_worst_pixel_is_looked_at_and_then_the_next_one(session):
         model.worst.due = True
         session.settle()
         picked.append(model.pointing.picked)
-        assert f"number {len(picked)} of the slot" in model.messages[-1].text
+        assert f"number {len(picked)} of the frame" in model.messages[-1].text
     assert len(set(picked)) == len(picked)
     model.show_layer("final")
     model.comparison.with_layer("truth")

@@ -257,7 +257,7 @@ class Differing(Study):
 
     @property
     def text(self) -> str:
-        """How many layers differ of those that both have, and how many only one has."""
+        """The number of layers that differ, of those that both have, and of those that only one has."""
         differing, lacking = sum(one.differs for one in self.all), [one.remark for one in self.all if not one.common]
         common = len(self.all) - len(lacking)
         found = f"{differing} of {common} layers differ" if differing or self.busy else f"all {common} layers are equal"
