@@ -1127,7 +1127,7 @@ def test_stories_of_parts_that_reappear(device):
 
 
 def test_stories_of_corrected_pixels(device, tmp_path):
-    options = Options(scn_model=movers_model(tmp_path / "m.onnx"))
+    options = Options(scn_model=movers_model(tmp_path / "m.onnx"), image_flow=False)
     with running(device, FadingClip()) as engine:
         for story in stories(engine, Setup(options), 13, is_mover):
             assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]
