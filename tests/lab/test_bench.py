@@ -42,7 +42,6 @@ def test_bench(gffe, tmp_path):
         for size in one["sizes"]:
             parts = {
                 "history",
-                "acceleration",
                 "prediction",
                 "backward_blocks",
                 "warp",
