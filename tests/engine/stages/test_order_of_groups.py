@@ -22,7 +22,7 @@ SHARING = (
     "scatter_level",
     "project_levels",
     "resolve",
-    "fill_hidden_parts",
+    "list_edges",
     "soften",
 )
 
