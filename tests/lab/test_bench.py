@@ -42,6 +42,7 @@ def test_bench(gffe, tmp_path):
         for size in one["sizes"]:
             parts = {
                 "history",
+                "acceleration",
                 "prediction",
                 "backward_blocks",
                 "warp",
