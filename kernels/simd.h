@@ -13,8 +13,7 @@
 #if LANES == 8
 
 #define WIDE __attribute__((vec_type_hint(float8)))  /* before a kernel: it is wide already */
-#define LISTS                                                                                                          \
-    WIDE /* before one for all pixels that appends to a list or works on cells: on GPUs their groups must be known */
+#define LISTS WIDE /* before one for all pixels that appends to a list: on GPUs their groups must be known */
 typedef float8 Floats;
 typedef int8 Ints;    /* of conditions: -1 or 0 */
 typedef uint8 Uints;
