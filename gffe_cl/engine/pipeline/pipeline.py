@@ -34,7 +34,7 @@ from gffe_cl.engine.pipeline.outputs import Outputs
 from gffe_cl.engine.pipeline.rendered_frames import RenderedFrames
 from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
 from gffe_cl.engine.pipeline.watching import Watcher
-from gffe_cl.engine.stages.base import Board, Step
+from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
@@ -137,6 +137,7 @@ class Pipeline:
         self.board.scripts.clear()
         wanted = {stage.name for stage in stages_of(options)}
         self.stages: dict[str, Any] = {name: one for name, one in self.board.stages.items() if name in wanted}
+        self._correction: ShadingCorrection | None = self.stages.get(ShadingCorrection.name)
         self._outputs = Outputs(self.board, self.stages)
 
     @pipeline_call
@@ -226,11 +227,7 @@ class Pipeline:
 
     @pipeline_call
     def submit(
-        self,
-        frame: RenderedFrame,
-        *,
-        wait_for: Iterable[cl.Event | int] = (),
-        zero_copy: bool = False,
+        self, frame: RenderedFrame, *, wait_for: Iterable[cl.Event | int] = (), zero_copy: bool = False
     ) -> cl.Event:
         """Take a rendered frame and return the event that is complete when the work on it is done. Frames must come in
         order of time.
@@ -374,7 +371,7 @@ class Pipeline:
         intervals after it, and for arguments of other types or shapes, or events that cannot be waited for.
         """
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
-        frames, source = self.frames, self.frames.needed
+        frames = self.frames
         self._decide_cut()
         step = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
         if self.watcher:
@@ -400,7 +397,7 @@ class Pipeline:
             color, worked = composition.compose(color, step.alpha), None
         assert step.camera is not None
         shown = step.camera, step.time, color, depth, motion, self.device, self.sizes.target
-        about = step.alpha, source.time, dynamic, disoccluded, filled_by, gae, self._unfinished
+        about = step.alpha, step.frame.time, dynamic, disoccluded, filled_by, gae, self._unfinished
         frame = ExtrapolatedFrame(*shown, *about, _event=worked or marker(self.device.queue))
         if self.watcher:
             self.watcher.extrapolated(self, frame)
@@ -411,10 +408,6 @@ class Pipeline:
         """Function that makes the final image of the last frame, if that still waits for the network; else None."""
         correction = self._correction
         return partial(self.turns.read, correction.finish) if correction and correction.is_begun else None
-
-    @property
-    def _correction(self) -> ShadingCorrection | None:
-        return self.stages.get(ShadingCorrection.name)
 
     def _settle(self) -> None:
         """Wait until a thread of the network has enqueued its kernels, which belong before all others."""
