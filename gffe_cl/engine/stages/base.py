@@ -165,7 +165,7 @@ class Board:
             for stage, buffer, before in found:
                 stage.buffer, stage.before = buffer, before
             return
-        held = [(stage, stage.buffer) for stage in self.stages.values()]
+        held = [(stage, stage.buffer) for stage in self.stages.values() if not stage.swaps_alone]
         for stage, _ in held:
             stage.swap()
         self.memory.place()
@@ -247,6 +247,7 @@ class Stage(Owner):
 
     kernels: tuple[Kernel, ...] = ()
     registered = True  # whether other stages find its buffers on the board
+    swaps_alone = False  # whether it calls `swap` itself, once for each rendered frame
     builds_at_once = True  # else the stage calls `_build` before it launches anything
     needs_footprints = False  # whether it adds to the warp of footprints: a dilated warp does without
     # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last

@@ -24,6 +24,7 @@ class Composition(Stage):
     """
 
     name = "composition"
+    swaps_alone = True
     buffers = (
         BufferSpec(
             "depth", np.float32, (), "source", "depth of the rendered frame without overlays that keep place", "depth",
