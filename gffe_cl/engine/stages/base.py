@@ -6,6 +6,7 @@ of stages and memory.
 
 from __future__ import annotations
 
+import operator
 from array import array
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -149,7 +150,7 @@ class Board:
         two frames before, which the board still holds.
         """
         before, alike = self.previous if self.previous is not self.rendered else None, self._alike
-        self._alike = before is not None and all(a is b for a, b in zip(frame.buffers, before.buffers, strict=True))
+        self._alike = before is not None and all(map(operator.is_, frame.buffers, before.buffers))
         if frame is not self.rendered:
             self.turn ^= 1
         if not (previous and alike and self._alike):
