@@ -9,86 +9,19 @@ CASES, case = collector()
 
 
 @case
-def split(gui: Gui):
-    """The wipe's line is dragged; left of it is A, right of it B."""
-    model, values = gui.model, gui.values
-    gui.key(KEY.w)
-    model.view.b = "frame.depth"
-    gui.settle()
-    left, top, width, height = gui.area()
-    middle = top + height / 2
-    gui.drag((left + width / 2, middle), (left + 0.3 * width, middle))
-    values["split"] = model.view.split
-    gui.settle()
-    gui.shot("split")
-    picture, split = gui.picture(), int(model.view.split * width)
-    model.view.compare = "off"
-    gui.settle()
-    a = gui.picture()
-    model.show_layer("frame.depth")
-    gui.settle()
-    b = gui.picture()
-    values["left is A"] = bool((picture[:, : split - 2] == a[:, : split - 2]).all())
-    values["right is B"] = bool((picture[:, split + 2 :] == b[:, split + 2 :]).all())
-    values["A is B"] = bool((a == b).all())
-    values["center moved"] = bool(model.view.center != (model.source.width / 2, model.source.height / 2))
-
-
-@case
-def difference_and_error(gui: Gui):
+def ways_of_comparing(gui: Gui):
+    """Each by its button or key; T shows the truth alone."""
     model, values = gui.model, gui.values
     gui.ctx.window_focus("//Compare")
     gui.frames(2)
     gui.click("//Compare/###compare difference")
     gui.settle()
-    values["b"] = model.view.b
-    difference = gui.picture()
-    gui.shot("difference")
-    gui.key(KEY.m)
-    gui.settle()
-    error = gui.picture()
-    gui.shot("error map")
-    values["compare"] = model.view.compare
-    gui.key(KEY.m)
-    gui.settle()
-    a = gui.picture()
-    gui.key(KEY.t)
-    gui.settle()
-    values["shown after T"] = model.view.a
-    b = gui.picture()
-    gui.key(KEY.t)
-    expected = np.clip(np.abs(a - b) * 4, 0, 255)
-    inside = (a != a[0, 0]).any(-1) & (b != b[0, 0]).any(-1)
-    values["largest fault of the difference"] = int(np.abs(difference - expected)[inside].max())
-    values["difference is seen"] = float((difference[inside] > 20).mean())
-    mean = np.abs(a - b).mean(-1)
-    heat = error.sum(-1)
-    values["error follows the difference"] = float(np.corrcoef(np.minimum(mean[inside], 25), heat[inside])[0, 1])
+    values["ways"] = [(model.view.a, model.view.b, model.view.compare)]
+    for key in (KEY.m, KEY.m, KEY.t, KEY.t):
+        gui.key(key)
+        gui.settle()
+        values["ways"].append((model.view.a, model.view.b, model.view.compare))
     gui.ctx.window_focus("//Modules")
-
-
-@case
-def flip(gui: Gui):
-    """B is seen as long as its key is held."""
-    model, values = gui.model, gui.values
-    model.view.b = "rendered.depth"
-    gui.key(KEY.f)
-    gui.settle()
-    a = gui.picture()
-    model.comparison.set("flip")
-    gui.settle()
-    gui.ctx.key_down(KEY.b.value)
-    gui.frames(3)
-    gui.settle()
-    held = gui.picture()
-    gui.ctx.key_up(KEY.b.value)
-    gui.frames(2)
-    released = gui.picture()
-    model.show_layer("rendered.depth")
-    gui.settle()
-    values["held shows B"] = bool((held == gui.picture()).all())
-    values["A differs"] = bool((a != held).any())
-    values["released shows A"] = bool((released == a).all())
 
 
 @case
@@ -123,31 +56,4 @@ def flip_error(gui: Gui):
         gui.key(KEY.right_arrow)  # to a time without ground truth
         gui.settle()
         values["colors without truth"] = len(np.unique(gui.inside().reshape(-1, 3), axis=0))
-    gui.ctx.window_focus("//Modules")
-
-
-@case
-def measuring(gui: Gui):
-    from gffe_cl.lab.metrics import psnr, ssim, to_display
-
-    model, values = gui.model, gui.values
-    gui.ctx.window_focus("//Compare")
-    gui.frames(2)
-    gui.click("//Compare/measure")
-    gui.wait(lambda: model.metrics.get(13) and "ssim" in model.metrics[13].values, "the metrics")
-    model.view.b = "truth"
-    model.comparison.set("flip")
-    gui.settle()
-    shown, true = (
-        to_display(model.contents.result.images[name][..., :3], model.source.exposure) for name in ("final", "truth")
-    )
-    score = model.metrics[13].values
-    values |= {"psnr": score["psnr"], "ssim": score["ssim"], "by hand": (psnr(shown, true), ssim(shown, true))}
-    for slot in (3, 5, 7, 9, 11):
-        model.playback.seek(slot)
-        gui.settle()
-    gui.wait(lambda: len(model.metrics) >= 6, "metrics of all slots")
-    values["slots"] = sorted(model.metrics)
-    gui.shot("measuring")
-    gui.click("//Compare/measure")
     gui.ctx.window_focus("//Modules")
