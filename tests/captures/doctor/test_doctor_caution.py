@@ -153,23 +153,6 @@ def test_depths_that_no_depth_buffer_has_are_no_explanation(monkeypatch):
     assert (0.3, 2.0) in found and (0.3, -2.0) not in found
 
 
-CAUSES = {
-    "motion to the next frame": "most likely motion to the next frame",
-    "motion without the camera": "most likely motion without the camera",
-    "motion y flipped": "most likely motion y flipped",
-    "depth device": "most likely depth device",
-    "camera inverted": "most likely camera inverted",
-    "motion jitter not removed": "camera jitter is in them, or in the cameras, alone",
-}
-
-
-@pytest.mark.parametrize("fault", CAUSES)
-def test_the_check_in_memory_names_the_cause_and_the_command(fault):
-    said = gffe_api.check(broken(clip(), [fault]).images)
-    assert CAUSES[fault] in said
-    assert said.endswith("; `gffe check FOLDER` tells more, of frames stored with gffe.SequenceWriter")
-
-
 def test_the_order_of_repairs_in_the_report(gffe, tmp_path):
     """A gap can be named to --only, like all that is repaired."""
     bad = written(tmp_path / "bad", broken(clip(), ["frame dropped"]))
