@@ -151,29 +151,3 @@ def test_names_out_of_the_folder(folder, tmp_path, name):
         with pytest.raises(GffeError):
             commands.invoke(words)
     assert sorted(tmp_path.rglob("*")) == before
-
-
-def test_links_and_pipes(folder, tmp_path):
-    import os
-
-    target = folder / "frame_0002.exr"
-    target.unlink()
-    os.mkfifo(target)
-    refused(folder, r"frame_0002\.exr: cannot be read \(is a pipe")
-    target.unlink()
-    target.symlink_to("/dev/zero")
-    refused(folder, r"frame_0002\.exr: cannot be read \(is a pipe or a device")
-    target.unlink()
-    target.symlink_to(target)
-    refused(folder, r"frame_0002\.exr|link")
-
-
-def test_damage_of_pixels_is_told_when_they_are_read(folder):
-    path = folder / "frame_0002.exr"
-    whole = bytearray(path.read_bytes())
-    whole[len(whole) // 2 : len(whole) // 2 + 2000] = bytes(2000)
-    path.write_bytes(whole)
-    sequence = open_capture(folder)
-    with pytest.raises(GffeError, match=r"^frame_0002\.exr: damaged"):
-        sequence.read(sequence.rendered[1])
-    assert (sequence.width, sequence.height) == (W, H)

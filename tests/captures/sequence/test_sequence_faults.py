@@ -2,7 +2,6 @@
 
 import contextlib
 import ctypes
-import json
 import os
 import socket
 import struct
@@ -375,23 +374,6 @@ def test_extrapolated_frames_may_coincide(folder):
 
     edit(folder, change)
     assert open_sequence(folder).extrapolated[0].alpha == 1
-
-
-@pytest.mark.long
-def test_many_frames(folder, monkeypatch):
-    """Opening takes the same few steps per frame however many there are: a header is parsed once."""
-    parsed, real = [], exr_layout._parse
-    monkeypatch.setattr(exr_layout, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
-    count = 200_000
-    document = json.loads((folder / "sequence.json").read_text())
-    frame = next(f for f in document["frames"] if f["file"] == "frame_1.exr")
-    document["frames"] = [frame | {"time": k / 30} for k in range(count)]
-    (folder / "sequence.json").write_text(json.dumps(document))
-    sequence = open_sequence(folder)
-    assert len(parsed) <= 3
-    assert (
-        len(sequence.rendered) == count and sequence.rendered[-1].display_camera == sequence.rendered[0].render_camera
-    )
 
 
 def test_headers_that_are_alike_are_parsed_once(tmp_path, monkeypatch):
