@@ -123,7 +123,7 @@ def test_inspector(values):
 
 
 def test_ways_of_comparing(values):
-    final, truth = ["final", "truth"], ["truth", "final"]
+    final, truth = ["final", "truth"], ["truth", "truth"]
     ways = [[*final, "difference"], [*final, "error"], [*final, "off"], [*truth, "off"], [*final, "off"]]
     assert values["ways"] == ways
 

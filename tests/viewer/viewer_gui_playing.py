@@ -109,3 +109,5 @@ def parameters(gui: Gui):
     gui.settle()
     moment = model.contents.result.moment
     values["windowed when off"] = moment.render_camera != moment.display_camera
+    gui.click("//Modules/rendering window")
+    gui.settle()
