@@ -5,7 +5,6 @@ through all other commands, which read sequences in the same way."""
 import json
 import math
 import shutil
-import sys
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -20,8 +19,6 @@ from gffe_cl.cli import main
 from gffe_cl.engine.frame.frame_format import CHOICES
 from gffe_cl.engine.frame.transfer_function import to_display
 
-GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()"]
-XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
 W, H, FRAMES = 96, 54, 5
 HALF, THIRD = (W // 2, H // 2), (W // 3, H // 3)
 JITTERS = [(0.0, 0.0), (0.25, -0.5), (-0.375, 0.125), (0.5, 0.25), (-0.25, -0.25)]  # pixels of color
