@@ -48,6 +48,7 @@ def test_a_mistake_has_its_name(mistake):
     assert (said is None) == (not fault)
     _, _, name = fault.partition("-")
     assert not fault or name.replace("-", " ") in said.lower().replace("-", " ") or fault == "frames-gap"
+    assert "jitter" not in fault or ("or in the cameras, alone" in said) == ("sign" not in fault)
 
 
 @pytest.mark.parametrize("is_jittered", [False, True])
