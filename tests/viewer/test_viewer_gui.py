@@ -138,7 +138,6 @@ def test_flip_error(values):
         assert "flip-evaluator" in values["reason"]
         return
     assert values["drawn"] > 60
-    assert max(values["faults"]) <= 2  # levels
     assert values["colors without truth"] == 1
 
 

@@ -3,7 +3,6 @@
 import functools
 
 import numpy as np
-import pyopencl as cl
 import pytest
 from moving_scene import MOVING, WALL, H, W, dolly, half, submit
 from synthetic import Rect, Rects, camera, psnr
@@ -241,20 +240,6 @@ def test_sky_turns_but_does_not_move(device):
     assert np.abs(out.numpy("motion") - (source - px))[inside].max() < 0.01
 
 
-def test_no_motion_option_and_literal_splat(device):
-    for options in (Options(motion=False), Options(crack_closing=False), Options(hole_filling="none", levels=0)):
-        pipeline = Pipeline(device, W, H, options)
-        submit(pipeline, MOVING, [dolly(k) for k in range(3)], [0, 1 / 30, 2 / 30])
-        out = pipeline.extrapolate(dolly(4), 3 / 30)
-        if not options.motion:
-            assert not out.numpy("dynamic").any()
-        if not options.crack_closing:
-            assert not (out.numpy("filled_by") == 254).any()
-        if options.hole_filling == "none":
-            holes = out.numpy("disoccluded") == 1
-            assert holes.any() and np.isinf(out.numpy("depth")[holes]).all()
-
-
 # ---- bad pixels ----------------------------------------------------------------------------------------
 
 BAD = {
@@ -312,31 +297,6 @@ def test_frames_of_nothing_but_bad_pixels(device):
 
 
 # ---- the public interface ------------------------------------------------------------------------------
-
-
-def test_device_buffers_are_used_in_place(device):
-    """Frames given as device buffers give the same bits as NumPy arrays, and no copies; a reset needs no motion."""
-    results = []
-    for on_device in (False, True):
-        pipeline = Pipeline(device, W, H)
-        for k in range(3):
-            frame = MOVING.frame(dolly(k), k / 30, W, H, (dolly(k - 1), (k - 1) / 30), reset=k == 0)
-            if on_device:
-                flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-                color = np.zeros((H, W, 4), np.float16)
-                color[..., :3] = frame.color
-                for name, array in (("color", color), ("depth", frame.depth), ("motion", frame.motion)):
-                    buffer = cl.Buffer(device.context, flags, hostbuf=np.ascontiguousarray(array))
-                    setattr(frame, name, buffer)
-            if frame.reset:
-                frame.motion = None
-            pipeline.submit(frame)
-            if on_device:
-                assert pipeline.frames.current.color is frame.color
-            out = pipeline.extrapolate(dolly(k + 0.5), (k + 0.5) / 30)
-            results.append([out.numpy(n).tobytes() for n in ("color", "depth", "motion", "filled_by")])
-            assert isinstance(out.color, cl.Buffer)
-    assert results[:3] == results[3:]
 
 
 def test_predicted_camera_is_used_when_none_is_given(device):
