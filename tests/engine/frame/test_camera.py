@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from gffe_cl import Camera, GffeError, predict_camera, predict_camera_at
-from gffe_cl.engine.frame.camera_prediction import rotation_matrix, rotation_vector
+from gffe_cl.engine.frame.camera_prediction import RIDGE, _NextChange, rotation_matrix, rotation_vector
 
 angle = st.floats(-3, 3)
 coordinate = st.floats(-100, 100)
@@ -305,3 +305,12 @@ def test_learning_does_not_depend_on_the_axes():
     turned = [replace(c, world_to_view=c.world_to_view @ world) for c in cameras]
     expected, made = predict_camera_at(0.49, cameras, times), predict_camera_at(0.49, turned, times)
     np.testing.assert_allclose(made.world_to_view, expected.world_to_view @ world, atol=1e-9)
+
+
+def test_an_older_change_counts_less():
+    """An error weighs 0.9 of one an interval later: of two changes, 0 and then 1, the regression expects over half."""
+    model, along = _NextChange(), [[1.0, 0, 0], [0.0, 0, 0], [0.0, 0, 0]]
+    for change in (0.0, 1.0):
+        model.learn(along, [0.0] * 3, [1.0, 0, 0], [change, 0, 0])
+    assert model.correction(along, [0.0] * 3)[0] == pytest.approx(1 / (1.9 + RIDGE * 2.9))
+    assert model.trust([1.0, 0, 0]) == pytest.approx(1 / (1.9 + RIDGE))
