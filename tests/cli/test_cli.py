@@ -595,29 +595,6 @@ def test_an_interrupt_that_cannot_pass_comes_again():
     assert (child.returncode, child.stderr) == (130, "interrupted\n")
 
 
-def test_a_second_run_into_a_folder_is_refused(gffe, pristine, tmp_path):
-    out = tmp_path / "out"
-    with pytest.raises(ZeroDivisionError), SequenceWriter(out, W, H, 30.0, generator="gffe-cl run"):
-        code, _, err = gffe("run", pristine, out)
-        assert code == 2 and f"{out}: another run is writing into it, process {os.getpid()}" in err
-        code, _, err = gffe("compare", out, pristine)
-        assert code == 2 and "is still being written" in err
-        raise ZeroDivisionError  # ends the first one
-    assert gffe("run", pristine, out)[0] == 0
-
-
-def test_failed_run_keeps_an_earlier_result(gffe, scene, tmp_path):
-    out = tmp_path / "out"
-    assert gffe("run", scene, out, "--dump-stages")[0] == 0
-    before = {path: path.read_bytes() for path in out.rglob("*") if path.is_file()}
-    shutil.copy(scene / "frame_000003.exr", tmp_path / "own.exr")
-    os.replace(tmp_path / "own.exr", scene / "frame_000003.exr")  # no longer a link to that of the result
-    _spoil(scene / "frame_000003.exr", "Z", lambda a: a.__setitem__((3, 4), np.nan))
-    code, _, err = gffe("run", scene, out, "--strict", "--dump-stages", "--no-motion")
-    assert code == 2 and "frame_000003.exr" in err
-    assert {path: path.read_bytes() for path in out.rglob("*") if path.is_file()} == before
-
-
 def test_outputs_do_not_land_on_sequences(gffe, scene, tmp_path):
     """Not on its files, whatever they are called, and nowhere that nothing can be written."""
     shutil.copy(scene / "frame_000001.exr", scene / "picture.png")
