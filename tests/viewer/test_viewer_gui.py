@@ -88,13 +88,6 @@ def test_playback(values):
     assert values["points"] == [[4, 9], [0, 15]]
 
 
-def test_scrubbing(values):
-    slots, last = values["slots"], values["last"]
-    assert not values["playing while scrubbing"] and not values["playing afterwards"]
-    assert slots[:3] == sorted(set(slots[:3])) and slots[3:5] == [last, last] and slots[6:] == [0, 0]
-    assert values["shown afterwards"] == 0
-
-
 def test_cached_playback(values):
     assert values["share marked as cached"] > 0.98
     assert values["plays while nothing is computed"]

@@ -49,29 +49,6 @@ def playback(gui: Gui):
     values["points"].append((model.playback.first, model.playback.last))
 
 
-@case
-def scrubbing(gui: Gui):
-    playback, values = gui.model.playback, gui.values
-    left, top, width, height = gui.area("//Timeline/###scrub")
-    middle = top + height / 2
-    gui.key(KEY.space)
-    gui.frames(3)
-    gui.point(left + 0.3 * width, middle)
-    gui.ctx.mouse_down(0)
-    gui.frames(2)
-    values["playing while scrubbing"] = playback.playing
-    seen = []
-    for share in (0.3, 0.5, 0.8, 1.3, 1.3, 0.6, -0.4, -0.4):
-        gui.point(left + share * width, middle)
-        gui.frames(2)
-        seen.append(playback.slot)
-    gui.ctx.mouse_up(0)
-    gui.frames(3)
-    values |= {"slots": seen, "last": playback.slots - 1, "playing afterwards": playback.playing}
-    gui.settle()
-    values["shown afterwards"] = gui.model.contents.result.slot
-
-
 def _disabled(gui: Gui) -> list[str]:
     flags = {name: gui.ctx.item_info(f"//Modules/{name}").item_flags for name in ("shading correction", "focus mask")}
     return [name for name, value in flags.items() if value & imgui.ItemFlags_.disabled.value]
