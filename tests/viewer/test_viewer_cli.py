@@ -3,7 +3,6 @@
 import json
 import os
 import re
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -15,6 +14,7 @@ import pytest
 import tiny_sequence
 from PIL import Image
 from viewer_session import Session
+from xvfb import SCREEN, require_screen
 
 from gffe_cl.cli import main
 from gffe_cl.engine.core.errors import GffeError
@@ -22,7 +22,6 @@ from gffe_cl.viewer.automation.steps import check, parse, perform, unopened
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
-XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
 
 
 @pytest.fixture
@@ -36,7 +35,7 @@ def gffe(tmp_path):
         if display is not None:
             bare["DISPLAY"] = display
         child = subprocess.run(
-            [*(XVFB if display is None else ()), *GFFE, *arguments],
+            [*(SCREEN if display is None else ()), *GFFE, *arguments],
             env=bare | environment,
             cwd=tmp_path,
             capture_output=True,
@@ -50,9 +49,7 @@ def gffe(tmp_path):
 
 @pytest.fixture
 def screen():
-    if shutil.which("xvfb-run") is None:
-        assert not os.environ.get("CI"), "CI must have xvfb-run"
-        pytest.skip("xvfb-run is not installed")
+    require_screen()
 
 
 def refused(gffe, *arguments, display=None, **environment):
@@ -335,7 +332,7 @@ def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
     (tmp_path / "script.py").write_text(script)
     environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "file"), "LIBGL_ALWAYS_SOFTWARE": "1"}
     child = subprocess.run(
-        [*XVFB, sys.executable, "script.py", "view", "in"], env=environment, cwd=tmp_path, capture_output=True,
+        [*SCREEN, sys.executable, "script.py", "view", "in"], env=environment, cwd=tmp_path, capture_output=True,
         text=True, timeout=200,
     )  # fmt: skip
     assert child.returncode == 0 and "Traceback" not in child.stderr

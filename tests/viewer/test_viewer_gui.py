@@ -7,39 +7,21 @@ are kept in the folder GFFE_ARTIFACTS, if that is set.
 import json
 import os
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from xvfb import require_screen, run_window
 
 pytestmark = pytest.mark.long
-
-
-def _start(arguments: list[str], environment: dict[str, str], folder: Path) -> float:
-    """Runs viewer_gui_case.py; returns when it ended."""
-    script = str(Path(__file__).with_name("viewer_gui_case.py"))
-    child = subprocess.run(
-        ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24", sys.executable, script, *arguments],
-        env=environment,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
-    assert child.returncode == 0, f"{child.stdout[-3000:]}\n{child.stderr[-3000:]}"
-    return time.time()
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     """What the cases saw, by their names; of "leave first" and "leave second" also "exit", seconds from closing to the
     end of the process, and the hidden files that are "left over"."""
-    if shutil.which("xvfb-run") is None:
-        assert not os.environ.get("CI"), "CI must have xvfb-run"
-        pytest.skip("xvfb-run is not installed")
+    require_screen()
     from gffe_cl.engine.opencl.program import kernel_folder
 
     folder = tmp_path_factory.mktemp("gui")
@@ -49,14 +31,12 @@ def seen(tmp_path_factory):
     for old in artifacts.glob("*.png"):
         old.unlink()
     shutil.copytree(kernel_folder(), folder / "kernels")
-    environment = os.environ | {
-        "GFFE_KERNELS": str(folder / "kernels"),
-        "XDG_CONFIG_HOME": str(folder / "config"),
-        "LIBGL_ALWAYS_SOFTWARE": "1",
-    }
+    script = Path(__file__).with_name("viewer_gui_case.py")
+    environment = {"GFFE_KERNELS": str(folder / "kernels"), "XDG_CONFIG_HOME": str(folder / "config")}
     found = {}
     for phase in ("make", "first", "second"):
-        ended = _start([phase, str(folder), str(artifacts)], environment, folder / "working")
+        run_window(script, phase, folder, artifacts, folder=folder / "working", timeout=900, **environment)
+        ended = time.time()
         if phase != "make":
             report = json.loads((folder / f"{phase}.json").read_text())
             shutil.copy(folder / f"{phase}.json", artifacts)
