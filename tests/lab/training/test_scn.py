@@ -815,18 +815,6 @@ def test_export(tmp_path):
         export_onnx(net, tmp_path / "no" / "scn.onnx")
 
 
-def test_convolutions_have_a_multiple_of_four_input_channels(tmp_path):
-    """WebGPU's provider of onnxruntime computes others wrongly."""
-    import onnx
-
-    export_onnx(network.ShadingCorrectionNetwork(), tmp_path / "scn.onnx")
-    graph = onnx.load(tmp_path / "scn.onnx").graph
-    shapes = {value.name: tuple(value.dims) for value in graph.initializer}
-    convolutions = [shapes[node.input[1]] for node in graph.node if node.op_type == "Conv"]
-    assert len(convolutions) == 15
-    assert all(inputs % 4 == 0 for _, inputs, *_ in convolutions), convolutions
-
-
 def test_the_pipeline_makes_what_the_trained_network_does(opened, tmp_path):
     """Flow search, convolutions and head in kernels and onnxruntime, against PyTorch's forward."""
     from gffe_cl import Options, Pipeline
