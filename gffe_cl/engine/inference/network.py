@@ -71,12 +71,14 @@ def load_network(
     kernels (`OPENCL`) or in onnxruntime (`ON_CPU`). With None and `AUTO` the kernels run it `on_gpu`, and where
     onnxruntime is not installed, if they can. A network is loaded once as long as the file stays the same, and again in
     a forked child, where the threads of the parent's session are not. Raises NetworkError."""
-    packaged = default_model()
-    if path is None and packaged is None:
-        raise NetworkError(
-            f"{scn_missing()}: expected gffe_cl/engine/inference/weights/scn.onnx, or another model's path"
-        )
-    path = cpu_model(packaged) if path is None and packaged else Path(str(path))
+    if path is None:
+        packaged = default_model()
+        if packaged is None:
+            raise NetworkError(
+                f"{scn_missing()}: expected gffe_cl/engine/inference/weights/scn.onnx, or another model's path"
+            )
+        path = cpu_model(packaged)
+    path = Path(path)
     if not path.is_file():
         raise NetworkError(f"{path}: no such file (expected a shading correction network, ONNX)")
     if provider not in (None, AUTO, OPENCL, ON_CPU):
