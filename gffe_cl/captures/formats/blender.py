@@ -19,8 +19,8 @@ from gffe_cl.captures.formats.capture import (
 from gffe_cl.captures.formats.layers import Place, holding, layers_of, owner
 from gffe_cl.captures.formats.numbering import mark_gaps
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
-from gffe_cl.captures.sequence.exr import decoded, require_parts, view_note
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, HeaderReader, read_header
+from gffe_cl.captures.sequence.exr import decoded, require_parts
+from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
 from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.captures.sequence.reader import Sequence
@@ -50,12 +50,12 @@ def open_blender(folder: Path) -> Sequence:
     """Open the capture in `folder` and return it: JSON and the headers of all files are checked. Raises GffeError."""
     description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
-    reader, headers, remarks = HeaderReader(), [], Remarks(description.fps)
+    pixels, remarks = BlenderPixels(folder), Remarks(description.fps)
     for entry in description.frames:
-        header = reader.read(folder / entry.place, entry.file)
+        header = read_header(folder / entry.place, entry.file)
         passes = _passes(header, entry)
         if entry.kind == "rendered":
-            headers[1:] = [(header, passes, entry.file)]
+            pixels.attributes = pixels.attributes or carried(header.parts[passes.color[0][0]])
             exact = [place for places in (passes.depth, passes.vector) for place in places or ()]
             remarks.add(header, entry.file, exact)
         parts = {part for places in filter(None, passes) for part, _ in places}
@@ -66,12 +66,8 @@ def open_blender(folder: Path) -> Sequence:
         through_window(entry, header.parts[passes.color[0][0]], size, entry.file)
         if entry.kind != "rendered":
             entry.render_size = None
-    pixels = BlenderPixels(folder)
     pixels.notes += [f"{folder}: {gaps}"] if gaps else []
-    if headers:
-        (first, color, _), (last, _, file) = headers[0], headers[-1]
-        pixels.notes += view_note(last, file) + remarks.sentences
-        pixels.attributes = carried(first, color.color[0][0], last)
+    pixels.notes += remarks.sentences
     return Sequence(folder, description, pixels)
 
 

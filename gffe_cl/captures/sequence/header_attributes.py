@@ -19,16 +19,6 @@ _CARRIED = {
     "chromaticities": tuple, "whiteLuminance": float, "adoptedNeutral": tuple, "colorInteropID": str,
     "pixelAspectRatio": float, "renderingTransform": str, "lookModTransform": str,
 }  # fmt: skip
-# About one file or one moment, or about how pixels are stored: not true of other frames.
-_OF_ONE_FILE = (
-    "altitude", "aperture", "ascFramingDecisionList", "asShotNeutral", "capDate", "channels", "chunkCount", "comments",
-    "compression", "dataWindow", "deepImageState", "displayWindow", "dwaCompressionLevel", "envmap", "expTime", "focus",
-    "framesPerSecond", "idManifest", "imageCounter", "isoSpeed", "keyCode", "latitude", "lineOrder", "longitude",
-    "maxSamplesPerPixel", "multiView", "name", "originalDataWindow", "owner", "preview", "reelName",
-    "screenWindowCenter", "screenWindowWidth", "shutterAngle", "tStop", "tiles", "timeCode", "timecodeRate", "type",
-    "utcOffset", "version", "view", "worldToCamera", "worldToNDC", "wrapmodes", "xDensity",
-)  # fmt: skip
-_PREFIXES = ("unreal/", "camera", "lens", "sensor", "nominalFocal", "effectiveFocal", "pinholeFocal", "entrancePupil")
 _LENGTHS = {"chromaticities": 8, "adoptedNeutral": 2}
 _SQUARE = 1e-3  # of pixels' aspect
 _SAME_RATE = 0.01  # relative
@@ -38,20 +28,13 @@ _COMPRESSIONS = {_PXR24: "pxr24", _B44: "b44", _B44A: "b44a", _DWAA: "dwaa", _DW
 _MOST_TEXT, _MOST_ASPECT, _MOST_CHROMATICITY = 4096, 100.0, 10.0  # of attributes that are carried on
 
 
-def carried(header: ExrHeader, part: int, later: ExrHeader | None = None, view: str | None = None) -> dict[str, Any]:
-    """Return the attributes of a part that new frames get: those about its colors, and those of other programs that a
-    `later` file of the sequence has as well."""
-    given = header.parts[part].attributes
-    same = later.parts[min(part, len(later.parts) - 1)].attributes if later else {}
+def carried(part: ExrPart) -> dict[str, Any]:
+    """Return the attributes of a part that new frames get: those about its colors."""
     found = {}
-    for name, value in given.items():
-        theirs = name not in _OF_ONE_FILE and not name.startswith(_PREFIXES) and same.get(name) == value
-        wanted = isinstance(value, _CARRIED[name]) if name in _CARRIED else theirs
-        if wanted and _is_sound(name, value):
+    for name, kind in _CARRIED.items():
+        value = part.attributes.get(name)
+        if isinstance(value, kind) and _is_sound(name, value):
             found[name] = np.array(value, np.float32) if isinstance(value, tuple) and len(value) < 8 else value
-    own = view or header.parts[part].texts.get("view") or next(iter(header.views), "")
-    if own and _is_sound("view", own):
-        found["view"] = own
     return found
 
 
@@ -74,14 +57,9 @@ class Remarks:
     def __init__(self, fps: float | None = None):
         self._fps = fps
         self._files: dict[str, str] = {}  # by sentence
-        self._layouts: set[object] = set()  # of the headers so far
 
     def add(self, header: ExrHeader, file: str, exact: Iterable[tuple[int, str]] = ()) -> None:
         """Examine the header of `file`, whose `exact` channels hold depth or motion."""
-        if header.layout in self._layouts:
-            return
-        if header.layout is not None:
-            self._layouts.add(header.layout)
         for text in _unsupported(header, list(exact), self._fps):
             self._files.setdefault(printable(text), file)
 
@@ -113,7 +91,7 @@ def _unsupported(header: ExrHeader, exact: list[tuple[int, str]], fps: float | N
 
 def frame_rate(part: ExrPart, name: str = "framesPerSecond") -> float | None:
     """Return the frame rate in the attribute `name`, None if it is missing or invalid."""
-    above, _, below = part.texts.get(name, "").partition("/")
+    above, _, below = str(part.attributes.get(name, "")).partition("/")
     try:
         rate = float(above) / float(below or 1)
     except (ValueError, ZeroDivisionError):

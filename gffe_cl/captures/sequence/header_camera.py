@@ -44,7 +44,7 @@ def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
 
     Raises GffeError if the matrices are not finite, singular or do not belong together.
     """
-    stored = [part.matrix(name) for name in _NAMES]
+    stored = [part.matrices[name] for name in _NAMES]
     if not all(np.isfinite(m).all() for m in stored):
         raise GffeError("camera: worldToCamera and worldToNDC must be finite")
     fits = [_decompose(*matrices) for matrices in ([m.T for m in stored], stored)]

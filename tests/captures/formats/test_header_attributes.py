@@ -18,9 +18,9 @@ from gffe_cl.captures.sequence import FrameEntry
 ACES = (0.7347, 0.2653, 0.0, 1.0, 0.0001, -0.077, 0.32168, 0.33767)
 CARRIED = {
     "chromaticities": ACES, "whiteLuminance": 100.0, "adoptedNeutral": np.array([0.32, 0.33], np.float32),
-    "colorInteropID": "lin_ap0_scene", "pixelAspectRatio": 2.0, "studio": "ours", "studio/take": 7, "gain": 0.5,
+    "colorInteropID": "lin_ap0_scene", "pixelAspectRatio": 2.0,
 }  # fmt: skip
-NOT_CARRIED = {"owner": "somebody", "comments": "of one file", "isoSpeed": 100.0, "unreal/camera/curPos/x": "1.0"}
+NOT_CARRIED = {"owner": "somebody", "comments": "of one file", "isoSpeed": 100.0, "studio": "ours"}
 
 
 def own(folder, **attributes):
