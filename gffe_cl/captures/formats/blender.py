@@ -14,7 +14,6 @@ from gffe_cl.captures.formats.capture import (
     read_json,
     shown_part,
     through_window,
-    whole_number,
 )
 from gffe_cl.captures.formats.layers import Place, holding, layers_of, owner
 from gffe_cl.captures.formats.numbering import mark_gaps
@@ -25,7 +24,14 @@ from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import require_exposure, require_number, require_positive, shown
+from gffe_cl.engine.core.validation import (
+    MOST_SIDE,
+    require_exposure,
+    require_number,
+    require_positive,
+    require_whole,
+    shown,
+)
 
 FILE_NAME = "cameras.json"
 KINDS = ("rendered", "ground_truth", "camera_only")
@@ -111,8 +117,8 @@ class BlenderPixels(ForeignPixels):
 def _parse(document: dict) -> tuple[Description, str | None]:
     """Return the description, and a sentence about frames that are missing."""
     size = (
-        whole_number(document.get("width"), f"{FILE_NAME}: width"),
-        whole_number(document.get("height"), f"{FILE_NAME}: height"),
+        require_whole(document.get("width"), f"{FILE_NAME}: width", 1, MOST_SIDE),
+        require_whole(document.get("height"), f"{FILE_NAME}: height", 1, MOST_SIDE),
     )
     given = document.get("frames")
     if not isinstance(given, list) or not 0 < len(given) <= MOST_FRAMES:

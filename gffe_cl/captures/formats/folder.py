@@ -24,7 +24,7 @@ from gffe_cl.captures.formats.buffers import (
     parse_motion,
 )
 from gffe_cl.captures.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
-from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json, whole_number
+from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json
 from gffe_cl.captures.formats.images import Size, header_attributes
 from gffe_cl.captures.formats.json_schema import Keys
 from gffe_cl.captures.formats.motion_conversion import inverted_flow
@@ -36,11 +36,17 @@ from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import open_regular
-from gffe_cl.engine.core.validation import require_exposure, require_number, require_positive, shown
+from gffe_cl.engine.core.validation import (
+    MOST_SIDE,
+    require_exposure,
+    require_number,
+    require_positive,
+    require_whole,
+)
 from gffe_cl.engine.frame.conventions import refuse_oblique
 
 FORMAT, VERSION = "gffe-folder", 1
-_MOST_NUMBER = 10**9
+_NUMBERS = -(10**9), 10**9  # of frames
 _FIRST_BYTES = 1 << 16
 
 
@@ -173,8 +179,8 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSe
     if keys.take("version", VERSION) != VERSION:
         raise GffeError(f"{FILE_NAME}: unknown version (expected {VERSION})")
     size = (
-        whole_number(keys.take("width"), f"{FILE_NAME}: width"),
-        whole_number(keys.take("height"), f"{FILE_NAME}: height"),
+        require_whole(keys.take("width"), f"{FILE_NAME}: width", 1, MOST_SIDE),
+        require_whole(keys.take("height"), f"{FILE_NAME}: height", 1, MOST_SIDE),
     )
     fps = keys.take("fps")
     fps = None if fps is None else require_positive(fps, f"{FILE_NAME}: fps")
@@ -254,9 +260,9 @@ def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, An
         keys.done()
         if fps is None:
             raise GffeError(f"{FILE_NAME}: frames without times need fps")
-        whole_number(count, f"{FILE_NAME}, frames, count", MOST_FRAMES)
-        first = _number(first, f"{FILE_NAME}, frames, first")
-        step = whole_number(step, f"{FILE_NAME}, frames, step", _MOST_NUMBER)
+        require_whole(count, f"{FILE_NAME}, frames, count", 1, MOST_FRAMES)
+        first = require_whole(first, f"{FILE_NAME}, frames, first", *_NUMBERS)
+        step = require_whole(step, f"{FILE_NAME}, frames, step", 1, _NUMBERS[1])
         given = [{"number": first + k * step, "time": k / fps} for k in range(count)]
     if not isinstance(given, list) or not 0 < len(given) <= MOST_FRAMES:
         raise GffeError(
@@ -268,16 +274,10 @@ def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, An
 
 def _frame(given: Any, index: int) -> tuple[int, FrameEntry, Any]:
     keys = Keys(given, f"{FILE_NAME}, frames[{index}]")
-    number = _number(keys.take("number"), f"{keys.label}, number")
+    number = require_whole(keys.take("number"), f"{keys.label}, number", *_NUMBERS)
     kind = keys.choice("kind", ("rendered", "ground_truth"), "rendered")
     time = require_number(keys.take("time"), f"{keys.label}, time")
     entry = FrameEntry(f"{'frame' if kind == 'rendered' else 'truth'}_{number:06d}.exr", time, kind, keys.flag("reset"))
     camera = keys.take("camera")
     keys.done()
     return number, entry, camera
-
-
-def _number(value: Any, what: str) -> int:
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MOST_NUMBER:
-        return value
-    raise GffeError(f"{what} must be a whole number from {-_MOST_NUMBER} to {_MOST_NUMBER}, got {shown(value)}")

@@ -66,8 +66,7 @@ def open_unreal(folder: Path) -> Sequence:
         require_parts(header, {part for part, _ in places}, None, file)
         part = header.parts[places[0][0]]
         if size is None:
-            x0, y0, x1, y1 = part.display_window
-            size, fps = (x1 - x0 + 1, y1 - y0 + 1), _frame_rate(part)
+            size, fps = part.shown_size, _frame_rate(part)
             pixels.attributes = carried(part)
         time = (number - numbered[0][0]) / (fps or _FPS)
         entry = FrameEntry(file, time, reset=before is None or number != before + 1)

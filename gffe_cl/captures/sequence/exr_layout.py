@@ -52,8 +52,22 @@ class ExrPart:
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the data window."""
-        x0, y0, x1, y1 = self.data_window
-        return x1 - x0 + 1, y1 - y0 + 1
+        return _size_of(self.data_window)
+
+    @property
+    def shown_size(self) -> tuple[int, int]:
+        """Width and height of the display window."""
+        return _size_of(self.display_window)
+
+    @property
+    def offset(self) -> tuple[int, int]:
+        """Position of the data window in the display window, x and y."""
+        return self.data_window[0] - self.display_window[0], self.data_window[1] - self.display_window[1]
+
+
+def _size_of(window: tuple[int, int, int, int]) -> tuple[int, int]:
+    x0, y0, x1, y1 = window
+    return x1 - x0 + 1, y1 - y0 + 1
 
 
 @dataclass
@@ -175,9 +189,9 @@ def _check_parts(parts: list[ExrPart], label: str) -> None:
     for part in parts:
         if part.deep:
             raise GffeError(f"{label}: deep EXR data is not supported (expected flat images)")
-        x0, y0, x1, y1 = part.display_window
-        if x1 < x0 or y1 < y0:
-            raise GffeError(f"{label}: the display window {x0} {y0} {x1} {y1} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
+        if min(part.shown_size) < 1:
+            window = " ".join(map(str, part.display_window))
+            raise GffeError(f"{label}: the display window {window} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
     views = sorted({view for part in parts for view in part.views})
     if len(views) > 1:
         raise GffeError(f"{label}: holds the views {printable(', '.join(views))} (expected a file for each view)")

@@ -366,8 +366,8 @@ def _take_header_cameras(entry, part, size):
         render, display = header_cameras(part)
     except GffeError as error:
         raise GffeError(f"EXR header, {error}") from None
-    x0, y0, x1, y1 = part.display_window
-    display = display.scaled(size[0] / (x1 - x0 + 1), size[1] / (y1 - y0 + 1))
+    width, height = part.shown_size
+    display = display.scaled(size[0] / width, size[1] / height)
     if entry.kind == "rendered":
         entry.render_camera = render
         entry.render_size = entry.render_size or part.size
@@ -377,9 +377,7 @@ def _take_header_cameras(entry, part, size):
 def _complete_overscan(entry, part, size):
     """Set render size and display camera that the JSON leaves out, where the stored image is more or less than the
     display window of its EXR header."""
-    x0, y0, x1, y1 = part.display_window
-    shown = (x1 - x0 + 1, y1 - y0 + 1)
-    left, top = part.data_window[0] - x0, part.data_window[1] - y0
+    shown, (left, top) = part.shown_size, part.offset
     if shown == part.size and not (left or top):
         return
     entry.render_size = entry.render_size or part.size
