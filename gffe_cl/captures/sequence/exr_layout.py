@@ -28,7 +28,6 @@ _TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
 _NUMBERS = {"int": "i", "float": "f", "double": "d"}
-_TUPLES = {"chromaticities": "8f", "v2f": "2f", "v3f": "3f"}
 _PIXEL_TYPES = ("uint32", "float16", "float32")
 
 
@@ -237,10 +236,8 @@ def _parse_part(cursor) -> ExrPart | None:
                 (part.attributes[name],) = value.unpack(_NUMBERS[form])
             elif form == "rational":
                 part.attributes[name] = "{}/{}".format(*value.unpack("iI"))
-            elif form in _TUPLES:
-                part.attributes[name] = value.unpack(_TUPLES[form])
-            elif form == "envmap":
-                part.attributes[name] = value.take(1)[0]
+            elif form == "chromaticities":
+                part.attributes[name] = value.unpack("8f")
         except _Short:
             raise ValueError from None
         name = cursor.text()

@@ -16,10 +16,9 @@ from gffe_cl.engine.core.errors import printable
 
 # About the colors or the shape of pixels: as true of new frames as of the given ones.
 _CARRIED = {
-    "chromaticities": tuple, "whiteLuminance": float, "adoptedNeutral": tuple, "colorInteropID": str,
+    "chromaticities": tuple, "whiteLuminance": float, "colorInteropID": str,
     "pixelAspectRatio": float, "renderingTransform": str, "lookModTransform": str,
 }  # fmt: skip
-_LENGTHS = {"chromaticities": 8, "adoptedNeutral": 2}
 _SQUARE = 1e-3  # of pixels' aspect
 _SAME_RATE = 0.01  # relative
 _PXR24, _B44, _B44A, _DWAA, _DWAB = 5, 6, 7, 8, 9
@@ -34,7 +33,7 @@ def carried(part: ExrPart) -> dict[str, Any]:
     for name, kind in _CARRIED.items():
         value = part.attributes.get(name)
         if isinstance(value, kind) and _is_sound(name, value):
-            found[name] = np.array(value, np.float32) if isinstance(value, tuple) and len(value) < 8 else value
+            found[name] = value
     return found
 
 
@@ -44,9 +43,8 @@ def _is_sound(name: str, value: Any) -> bool:
         return 0 < len(value) <= _MOST_TEXT and "\0" not in value
     if name == "pixelAspectRatio":
         return abs(value - 1) > _SQUARE and 1 / _MOST_ASPECT < value < _MOST_ASPECT
-    if isinstance(value, tuple):
-        right = len(value) == _LENGTHS.get(name, len(value))
-        return right and bool(np.abs(value).max() < (_MOST_CHROMATICITY if len(value) == 8 else np.inf))
+    if name == "chromaticities":
+        return bool(np.abs(value).max() < _MOST_CHROMATICITY)
     return bool(np.isfinite(value).all())
 
 
@@ -69,7 +67,7 @@ class Remarks:
 
 
 def _unsupported(header: ExrHeader, exact: list[tuple[int, str]], fps: float | None) -> Iterator[str]:
-    """Yield sentences about `exact` channels that were approximated, pixels that are not square, panoramas, and another
+    """Yield sentences about `exact` channels that were approximated, pixels that are not square, and another
     frame rate than `fps`."""
     lossy = [(header.parts[index], name) for index, name in exact if _is_approximated(header.parts[index], name)]
     if lossy:
@@ -82,8 +80,6 @@ def _unsupported(header: ExrHeader, exact: list[tuple[int, str]], fps: float | N
     aspect = first.attributes.get("pixelAspectRatio")
     if isinstance(aspect, float) and not abs(aspect - 1) < _SQUARE:
         yield f"pixels are not square, pixelAspectRatio is {aspect:g}: cameras are taken as given"
-    if "envmap" in first.attributes:
-        yield "the header says envmap, a panorama: it is taken for a picture through a pinhole"
     rate = frame_rate(first)
     if fps and rate and abs(rate / fps - 1) > _SAME_RATE:
         yield f"framesPerSecond is {rate:g} in the header, {fps:g} in the description, which is used"
