@@ -4,7 +4,6 @@ import contextlib
 import ctypes
 import os
 import socket
-import struct
 import sys
 import threading
 import time
@@ -142,19 +141,6 @@ def test_decoding_leaves_no_file_open(folder, monkeypatch, damaged):
     with pytest.raises(GffeError) if damaged else contextlib.nullcontext():
         sequence.read(sequence.rendered[2])
     assert all(set(numbers) == set("012345") for numbers in seen) and seen  # 3, 4: what is printed; 5: the list itself
-
-
-@pytest.mark.parametrize("window", [(0, 0, -1, 35), (0, 0, -2, 35), (0, 5, 12, 3)])
-def test_empty_display_window(folder, window):
-    header = {"type": OpenEXR.scanlineimage}
-    path = folder / "frame_1.exr"
-    OpenEXR.File(header, contiguous(named_channels(*pixels(1)))).write(str(path))
-    data = path.read_bytes()
-    box = data.index(b"displayWindow\0box2i\0") + len(b"displayWindow\0box2i\0") + 4
-    path.write_bytes(data[:box] + struct.pack("<4i", *window) + data[box + 16 :])
-    edit(folder, lambda d: d["frames"][2].pop("display_camera", None))
-    numbers = " ".join(map(str, window))
-    assert fault(folder) == (f"frame_1.exr: the display window {numbers} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
 
 
 @pytest.mark.parametrize("file", ["frame_1.exr", "sequence.json"])
