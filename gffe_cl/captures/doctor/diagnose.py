@@ -10,6 +10,7 @@ import numpy as np
 
 from gffe_cl.captures.doctor.differences import faults_of, jitter_id, no_law_fault
 from gffe_cl.captures.doctor.dilation import dilation_notes
+from gffe_cl.captures.doctor.effects import effects_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.captures.doctor.findings import (
     FAULT,
@@ -21,6 +22,7 @@ from gffe_cl.captures.doctor.findings import (
     listed,
 )
 from gffe_cl.captures.doctor.format_keys import tell_keys
+from gffe_cl.captures.doctor.geometry_jitter import geometry_jitter_notes
 from gffe_cl.captures.doctor.hypotheses.camera_jitter import SURE
 from gffe_cl.captures.doctor.hypotheses.edges import edge_agreement
 from gffe_cl.captures.doctor.hypotheses.laws import settled
@@ -192,8 +194,10 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _judge_colors(found)
     if not found.faults:
         found.findings += dilation_notes(clip, deep)
-        found.findings += user_interface_notes(clip, deep, exposure)
+        found.findings += [*user_interface_notes(clip, deep, exposure), *effects_notes(clip, deep, exposure)]
     found.findings += [*mends.findings, *repeated_pixel_notes(clip, deep)]
+    if all(fault.is_of_jitter for fault in found.faults):
+        found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
     _tell_unknown(found, search)
     tell_keys(found.findings, getattr(clip, "settings", None))
     return mended if mended is not None and any(fault.name == UNEXPLAINED for fault in found.faults) else found

@@ -228,10 +228,16 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
         "depth: cut off/near": "{share:.0%} of the depths are {limit:.6g}, the smallest number, and vectors say that"
         " most of these are nearer: what is nearer is taken to be there",
         "depth: half floats": "depth went through half floats: it is off by up to 1/2048 of itself",
+        "depth: jittered": "jittered against color: its edges move by {size:.2g} px (standard deviation) from frame to"
+        " frame, those of color do not (color was antialiased over time: the jitter belongs {where}"
+        " RenderedFrame.geometry_jitter)",
         "color: 8 bits": "colors have 8 bits: gradients show bands",
         "color: 8 bits linear": "colors are 8-bit numbers that are read as linear light; such files usually hold"
         " display"
         ' values (of a gffe-folder expected "encoding": "srgb")',
+        "color: moves by itself": "in {share:.0%} of the picture colors move over a surface otherwise than its"
+        " vectors: an effect without depth (smoke, fire, a trail), a shadow or a reflection. New frames carry it with"
+        " the surface; what can be drawn after extrapolation, like a user interface, stays sharp",
         **{
             f"{about}: repeated": f"repeated: {{width}}×{{height}} different pixels of {words} fill {{all}} (give"
             " them in the size they were rendered in, by geometry_size of a FrameFormat or a RenderedFrame: about 0.8"
@@ -256,6 +262,7 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
         "camera: still camera": "the camera stands still: cameras and depth cannot be checked, and motion only on"
         " movers",
         "depth: rotation only": "the camera only turns: depth and the cameras' positions cannot be checked",
+        "depth: jittered/unclear": "whether color is jittered as depth is: too few clear edges",
     },
 }
 _ALWAYS_FIXED = "camera: transposed", "camera: scaled"  # without that nothing can be opened

@@ -1,4 +1,5 @@
-"""The doctor on what games do to frames: dilated vectors, geometry that is smaller than color, user interfaces."""
+"""The doctor on what games do to frames: dilated vectors, geometry that is jittered under antialiased color or smaller
+than color, user interfaces, effects without depth."""
 
 from dataclasses import replace
 from functools import cache
@@ -7,14 +8,18 @@ import numpy as np
 import pytest
 from doctor_clips import clip, written
 from parameters import few
+from synthetic import camera
 
 from gffe_cl.captures.doctor import examine, quick_warning
 from gffe_cl.captures.doctor.dilation import count_beside_edges, dilation_notes
+from gffe_cl.captures.doctor.geometry_jitter import edge_shift, geometry_jitter_notes
 from gffe_cl.captures.doctor.repeated_pixels import distinct_size
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.frame.frame_format import FrameFormat
+from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.lab.fault_injection import Kept
 
 W, H = 240, 136
@@ -44,6 +49,56 @@ def test_vectors_that_are_not_dilated_or_undone_raise_no_alarm():
         assert dilation_notes(Kept(frames), [1, 2, 3]) == []
         counts = np.sum([count_beside_edges(frame.depth, frame.motion) for frame in frames[1:4]], 0)
         assert counts[0] < 0.05 * counts[1] and counts[1] > 50
+
+
+def disks(jitter, color_jitter=(0.0, 0.0), radius=9.0):
+    """A frame with disks before a wall; depth is sampled with `jitter`, color covers pixels, or is sampled."""
+    view, steps = camera(W, H), (np.arange(8) + 0.5) / 8 - 0.5
+    y, x = np.mgrid[:H, :W] + 0.5
+
+    def cover(dx, dy):
+        return (np.hypot((x - dx) % 30 - 15, (y - dy) % 30 - 15) < radius).astype(float)
+
+    covered = np.mean([cover(u, v) for u in steps for v in steps], 0) if color_jitter is None else cover(*color_jitter)
+    depth = np.where(cover(*jitter) > 0, 3, 8).astype(np.float32)
+    color = (0.1 + 0.5 * covered[..., None] * (1, 0.6, 0.3)).astype(np.float16)
+    return RenderedFrame(color, depth, np.zeros((H, W, 2), np.float32), view, 0.0)
+
+
+OFFSETS = [tuple(np.array(Jitter(16).offset(k))) for k in range(1, 6)]
+
+
+def clip_of(frames):
+    return Kept([replace(frame, time=k / 30) for k, frame in enumerate(frames)])
+
+
+def test_edges_of_depth_shift_as_it_is_jittered():
+    for x, y in OFFSETS:
+        assert np.allclose(edge_shift(disks((x, y), None), 1.0), np.multiply(-0.65, (x, y)), atol=0.1)
+
+
+def notes(frames, is_jittered=False):
+    found = geometry_jitter_notes(clip_of(frames), [*range(len(frames))], 1.0, is_jittered)
+    return [(f.kind, f.name) for f in found], "".join(f.sentence for f in found)
+
+
+@pytest.mark.parametrize("in_cameras", [False, True])
+def test_jitter_of_geometry_is_told_from_that_of_the_camera(in_cameras):
+    frames = [disks(offset, None) for offset in OFFSETS]
+    if in_cameras:
+        moved = [replace(f.camera, cx=f.camera.cx + x) for f, (x, _) in zip(frames, OFFSETS, strict=True)]
+        frames = [replace(f, camera=one) for f, one in zip(frames, moved, strict=True)]
+    kinds, said = notes(frames)
+    assert kinds == [("note", "jittered")] and ("out of the cameras" in said) == in_cameras
+    assert notes([disks(offset, offset) for offset in OFFSETS])[0] == []  # color has the jitter, too
+    assert notes([disks((0, 0), None) for _ in OFFSETS])[0] == []
+    told = [replace(f, geometry_jitter=offset) for f, offset in zip(frames, OFFSETS, strict=True)]
+    assert notes(told)[0] == []
+
+
+def test_without_clear_edges_nothing_is_claimed():
+    frames = [disks(offset, None, radius=0) for offset in OFFSETS]
+    assert notes(frames)[0] == [] and notes(frames, True)[0] == [("cannot tell", "jittered")]
 
 
 def repeated(image, ratio):
@@ -109,3 +164,20 @@ def test_a_run_detects_the_user_interface_that_its_check_sees(gffe, tmp_path):
     assert alike("auto", "on") and not alike("auto", "off")
     code, _, error = gffe("run", hud, tmp_path / "wrong", "--ui-detection", "maybe")
     assert code == 2 and "--ui-detection must be one of auto, on, off" in " ".join(error.split())
+
+
+@pytest.mark.parametrize(("speed", "is_named"), [((2, -2), True), (None, False)])
+def test_effects_without_depth_are_named(speed, is_named):
+    """Smoke drifts over the lower part of the picture, or sticks to the surfaces."""
+    rng = np.random.default_rng(3)
+    smoke = np.kron(rng.random((40, 60)), np.ones((6, 6)))[..., None] * (0.3, 0.3, 0.32)
+    frames = []
+    for k, frame in enumerate(clip().images):
+        color = np.array(frame.color, np.float32)
+        if speed:
+            x, y = 60 + speed[0] * k, 60 + speed[1] * k
+            color[20:60, 20:100] = 0.4 * color[20:60, 20:100] + smoke[y : y + 40, x : x + 80]
+        frames.append(replace(frame, color=color.astype(np.float16)))
+    found = [f for f in examine(Kept(frames)).findings if f.id == "color-moves-by-itself"]
+    assert bool(found) == is_named
+    assert not found or (found[0].kind == "note" and found[0].figures["share"] < 0.3)
