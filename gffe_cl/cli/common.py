@@ -49,7 +49,8 @@ FollowLinksOption = Annotated[
     bool,
     typer.Option(
         "--follow-links",
-        help="Paths in a capture's JSON: follow those that leave its folder, too [dim](default: only those inside)[/].",
+        help="Links of a capture (paths in JSON, HDF5 links): follow those that leave its folder, too"
+        " [dim](default: only those inside)[/].",
         callback=follow_links_everywhere,  # nothing else is done with it
     ),
 ]

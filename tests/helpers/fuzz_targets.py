@@ -16,6 +16,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
+from importlib.util import find_spec
 from pathlib import Path
 from unittest.mock import patch
 
@@ -129,9 +130,60 @@ def write_unreal(folder):
     return folder
 
 
+def write_sintel(root):
+    tag = struct.pack("<f", 202021.25)
+    size = tag + struct.pack("<ii", W, H)
+    for name in ("final", "flow", "depth", "camdata_left"):
+        (root / name / "alley_1").mkdir(parents=True)
+    for k, frame in enumerate(seen(), 1):
+        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(color).save(root / "final" / "alley_1" / f"frame_{k:04d}.png")
+        depth = np.minimum(frame.depth, 1e10).astype("<f4")
+        (root / "depth" / "alley_1" / f"frame_{k:04d}.dpt").write_bytes(size + depth.tobytes())
+        fx, fy, cx, cy = frame.camera.intrinsics
+        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1, *frame.camera.world_to_view[:3].ravel()], "<f8")
+        (root / "camdata_left" / "alley_1" / f"frame_{k:04d}.cam").write_bytes(tag + numbers.tobytes())
+        (root / "flow" / "alley_1" / f"frame_{k:04d}.flo").write_bytes(size + frame.motion.astype("<f4").tobytes())
+    return root / "final" / "alley_1"
+
+
+def write_tartanair(root):
+    for name in ("image_left", "depth_left", "flow"):
+        (root / name).mkdir()
+    for k, frame in enumerate(seen()):
+        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(color).save(root / "image_left" / f"{k:06d}_left.png")
+        np.save(root / "depth_left" / f"{k:06d}_left_depth.npy", np.minimum(frame.depth, 1e4))
+        np.save(root / "flow" / f"{k:06d}_{k + 1:06d}_flow.npy", frame.motion)
+    (root / "pose_left.txt").write_text("".join(f"{k} 0.1 0 0 0 0 1\n" for k in range(COUNT)))
+    return root
+
+
+def write_spring(root):
+    import h5py
+
+    for name in ("frame_left", "disp1_left", "flow_BW_left", "cam_data"):
+        (root / name).mkdir()
+    intrinsics, extrinsics = [], []
+    for k, frame in enumerate(seen(), 1):
+        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
+        Image.fromarray(color).save(root / "frame_left" / f"frame_left_{k:04d}.png")
+        with h5py.File(root / "disp1_left" / f"disp1_left_{k:04d}.dsp5", "w") as file:
+            disparity = np.repeat(np.repeat(1 / np.minimum(frame.depth, 1e3), 2, 0), 2, 1)
+            file.create_dataset("disparity", data=disparity.astype(np.float32), compression="gzip")
+        with h5py.File(root / "flow_BW_left" / f"flow_BW_left_{k:04d}.flo5", "w") as file:
+            file.create_dataset("flow", data=np.repeat(np.repeat(frame.motion, 2, 0), 2, 1), compression="gzip")
+        intrinsics.append(" ".join(map(str, frame.camera.intrinsics)))
+        extrinsics.append(" ".join(map(str, frame.camera.world_to_view.ravel())))
+    (root / "cam_data" / "intrinsics.txt").write_text("\n".join(intrinsics) + "\n")
+    (root / "cam_data" / "extrinsics.txt").write_text("\n".join(extrinsics) + "\n")
+    return root
+
+
 WRITERS = {
     "sequence": write_sequence, "encoded": write_encoded, "folder": write_folder, "blender": write_blender,
-    "unreal": write_unreal,
+    "unreal": write_unreal, "sintel": write_sintel, "tartanair": write_tartanair,
+    **({"spring": write_spring} if find_spec("h5py") else {}),
 }  # fmt: skip
 # Which file of each form is mutated, below the folder that the writer gets.
 FILES = {
@@ -140,6 +192,12 @@ FILES = {
     "folder": ("sequence.json", "color_1.png", "depth_1.npy", "motion_1.npz"),
     "blender": ("cameras.json", "frame_0001.exr"),
     "unreal": ("Shot.0001.exr",),
+    "sintel": (
+        "depth/alley_1/frame_0001.dpt", "flow/alley_1/frame_0001.flo", "camdata_left/alley_1/frame_0001.cam",
+        "final/alley_1/frame_0001.png",
+    ),
+    "tartanair": ("pose_left.txt", "depth_left/000001_left_depth.npy"),
+    **({"spring": ("disp1_left/disp1_left_0002.dsp5",)} if find_spec("h5py") else {}),
 }  # fmt: skip
 
 
@@ -393,16 +451,16 @@ NUMBERINGS = (
 )  # fmt: skip
 
 
-def read_numbering(numbers):
-    """Read a capture of Unreal whose files have other names, numbers that are missing, twice or none."""
-    root, inside = valid("unreal")
+def read_numbering(form, numbers):
+    """Read a capture whose files have other names, numbers that are missing, twice or none."""
+    root, inside = valid(form)
     rng = rng_of(numbers)
     with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
         copied = shutil.copytree(root, Path(temporary) / "in", copy_function=os.link)
         pattern = str(rng.choice(NUMBERINGS))
         for path in sorted(copied.rglob("*")):
             found = re.search(r"\d+", path.stem)
-            if found is None:
+            if not path.is_file() or found is None or path.suffix in (".json", ".txt"):
                 continue
             if rng.integers(8) == 0:
                 path.unlink()
@@ -411,6 +469,9 @@ def read_numbering(numbers):
                 name = path.name[: found.start()] + pattern.format(number, number) + path.name[found.end() :]
                 if not path.with_name(name).exists():
                     path.rename(path.with_name(name))
+        for path in copied.rglob("*.txt"):
+            lines = path.read_text().splitlines()
+            path.write_text("\n".join(lines[: int(rng.integers(len(lines) + 2))] + lines[: int(rng.integers(2))]))
         opened = open_capture(copied / inside)
         times = [entry.time for entry in opened.rendered]
         assert times == sorted(set(times))
@@ -426,7 +487,6 @@ def targets():
     found["attach:request"] = Target(encoded(wire.Use(Options())), read_request, True)
     found["attach:answer"] = Target(answer_seed(), read_answer)
     found["attach:recording"] = Target(recording_seed(), read_recording)
-    found["unreal:numbering"] = Target(b"seed", read_numbering, drawn=True)
     found["attach:viewers"] = Target(b"seed", read_viewers, drawn=True)
     for form, files in FILES.items():
         for file in files:
@@ -442,6 +502,10 @@ def targets():
 
                 found[f"{form}:attributes"] = Target(b"seed", further, drawn=True)
             found[f"{form}:{Path(file).name}"] = Target(data, read, file.endswith(".json"))
+        if form in ("unreal", "sintel", "tartanair", "spring"):
+            found[f"{form}:numbering"] = Target(
+                b"seed", lambda numbers, form=form: read_numbering(form, numbers), drawn=True
+            )
     return found
 
 

@@ -4,17 +4,42 @@ from __future__ import annotations
 
 import os
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 import numpy as np
 
 from gffe_cl.captures.sequence.description import FrameEntry
+from gffe_cl.engine.core.errors import GffeError
 
 # The last number of a name is the frame's. A minus is its sign unless it stands after a letter or digit: Shot-0001.
 _NUMBER = re.compile(r"(?:(?<![^\W_])-)?\d+")
 _MOST_DIGITS, _MOST_NAMED = 18, 6
 _LATE = 1.5  # intervals: frames that are farther apart have one missing between them
+
+
+def numbered_files(folder: Path, pattern: str) -> dict[int, Path]:
+    """Return the files in `folder` whose names fit `pattern`, such as "frame_*.png", by their frames' numbers in
+    ascending order. The case of letters is ignored, and so are hidden files.
+
+    `*` is the number and other words before it; where the pattern has text behind `*`, names end with it. Raises
+    GffeError for names without number and for two files of one number.
+    """
+    before, _, after = pattern.partition("*")
+    fits = re.compile(f"{re.escape(before)}(.*){re.escape(after)}", re.IGNORECASE | re.DOTALL)
+    found: dict[int, Path] = {}
+    for path in visible_files(folder):
+        match = fits.fullmatch(path.name)
+        if match is None:
+            continue
+        number = number_of(match[1])
+        if number is None:
+            example = pattern.replace("*", "0001")
+            raise GffeError(f"{path.name}: no frame number in the name (expected one, as in {example})")
+        if number in found:
+            raise GffeError(f"{path.name}: frame {number} like {found[number].name} (expected one file for a frame)")
+        found[number] = path
+    return dict(sorted(found.items()))
 
 
 def visible_files(folder: Path, ending: str = "") -> list[Path]:
@@ -73,3 +98,19 @@ def mark_gaps(frames: list[tuple[int, FrameEntry]]) -> str | None:
             entry.reset = True
             gaps.append((before[0], number))
     return missing_numbers(gaps, usual)
+
+
+def lines_of(table: np.ndarray, numbers: Sequence[int], first: int, name: str) -> list[np.ndarray]:
+    """Return the lines of a `table` for frames with these `numbers`: its first line is that of the number `first`.
+
+    Where the numbers leave that range the lines are those of the frames in order, if nothing is missing. Otherwise it
+    raises a GffeError that begins with `name`.
+    """
+    if numbers[0] >= first and numbers[-1] - first < len(table):
+        return [table[number - first] for number in numbers]
+    if len(table) == len(numbers) == numbers[-1] - numbers[0] + 1:
+        return list(table)
+    raise GffeError(
+        f"{name}: {len(table)} lines for frames {numbers[0]} to {numbers[-1]} (expected a line for each number from"
+        f" {first} on, or as many lines as frames and no missing numbers)"
+    )

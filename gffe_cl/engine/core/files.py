@@ -31,7 +31,7 @@ def following_links() -> bool:
     """Return whether references inside the files that are opened now may leave their folder; docs/formats.md has the
     rules.
 
-    Paths in JSON files are references. Links of the file system are always followed: the user made them.
+    Paths in JSON files and HDF5 links are references. Links of the file system are always followed: the user made them.
     """
     here = _anywhere_here.get()
     return _anywhere if here is None else here

@@ -16,10 +16,8 @@ NAMES = (
     *(f"{form}:{Path(file).name}" for form, files in FILES.items() for file in files),
 )
 DRAWN = (*(f"{form}:attributes" for form in ("sequence", "blender", "unreal")),)
-DRAWN += (
-    "unreal:numbering",
-    pytest.param("attach:viewers", marks=pytest.mark.device),
-)
+DRAWN += (*(f"{form}:numbering" for form in ("unreal", "sintel", "tartanair")),)
+DRAWN += (pytest.param("attach:viewers", marks=pytest.mark.device),)
 CASES = sorted((Path(__file__).parent / "fuzz_cases").glob("*-*"))
 MUTATIONS = 12
 
