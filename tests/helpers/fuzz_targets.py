@@ -412,8 +412,8 @@ def with_attributes(data, numbers):
         value = FORMS[form](rng)
         name = str(rng.choice(ATTRIBUTES))
         added += f"{name}\0{form}\0".encode() + struct.pack("<i", len(value)) + bytes(value)
-    head = exr_layout._parse(exr_layout._Cursor(data))[0]
-    (table,) = head.chunk_tables
+    head = exr_layout._parse(exr_layout._Cursor(data))
+    table = struct.Struct(f"<{exr_layout._chunk_count(head.parts[0])}Q")
     offsets = [offset + len(added) for offset in table.unpack(data[head.end : head.end + table.size])]
     return data[:8] + added + data[8 : head.end] + table.pack(*offsets) + data[head.end + table.size :]
 
