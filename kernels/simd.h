@@ -149,6 +149,9 @@ INLINE void set_byte(Bytes *v, const int k, const uchar number) { ((uchar *)v)[k
    If one is NaN, `wide_lesser` gives the second and `wide_greater` the first. */
 INLINE Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
 INLINE Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : a; }
+INLINE Floats within_limits(const Floats x, const Floats least, const Floats most) {
+    return wide_lesser(wide_greater(x, least), most);
+}
 
 /* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0,
    whether any has a value. */

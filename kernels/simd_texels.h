@@ -2,33 +2,10 @@
 
 #include "cubic.h"
 
-/* Four channels of each lane. */
-typedef struct {
-    Floats x, y, z, w;
-} Wide4;
-
-INLINE Wide4 channels_of_strip(const Strip *s) {
-    Floats c[4];
-    channels_of(s, c);
-    const Wide4 channels = {c[0], c[1], c[2], c[3]};
-    return channels;
-}
-
-/* float4 of each lane, as they lie in memory -> channels, and back into the first `count` pixels of a row. */
+/* float4 of each lane, as they lie in memory -> channels. */
 INLINE Wide4 channels_in(const float *texels) {
     Strip s;
     for (int part = 0; part < PARTS; ++part) s.part[part] = reload_texels(part, texels);
-    return channels_of_strip(&s);
-}
-
-INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
-    store_strip(strip_of(c.x, c.y, c.z, c.w), count, image);
-}
-
-/* The four channels of the pixels i. */
-INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
-    Strip s;
-    gather_strip(image, i, &s);
     return channels_of_strip(&s);
 }
 
