@@ -128,7 +128,7 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
                                         __global const uint2 *view_velocity_prev, __global float4 *velocity,
                                         __global uint2 *acceleration, __global uint2 *bend,
                                         __global uint2 *view_velocity) {
-    const Tracked fragments = {.depth = depth, .motion = motion, .dynamic_mask = dynamic_mask, .met_depth = met_depth};
+    const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
     const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
     const float ratio = frame->interval_ratio;

@@ -59,7 +59,7 @@ INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __
     const int width = frame->source_width, height = frame->source_height, plane = width * height;
     const float2 px = pixel_center(x, y), per_px = (float2)(divide(1.0f, frame->zoom.x), divide(1.0f, frame->zoom.y)),
                  own = (float2)(px.x * per_px.x, px.y * per_px.y);
-    const Origin from = {.z = target_position + 2 * plane, .width = width, .height = height, .here = own};
+    const Origin from = {target_position + 2 * plane, width, height, own};
     const uint word = nearest_beside(keys, winners, x, y, frame->target_width, frame->target_height, from);
     float2 place = own;
     if (word != NOBODY) {

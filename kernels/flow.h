@@ -26,15 +26,10 @@ typedef struct {
 
 INLINE Fragments fragments_of(__constant Frame *frame, __global const float *depth,
                               __global const float *target_position, __global const uchar *links) {
-    const Fragments f = {.depth = depth,
-                         .target_position = target_position,
-                         .links = links,
-                         .width = frame->source_width,
-                         .height = frame->source_height,
-                         .plane = frame->source_width * frame->source_height,
-                         .target_width = frame->target_width,
-                         .target_height = frame->target_height,
-                         .zoom = frame->zoom};
+    const int width = frame->source_width, height = frame->source_height;
+    const Fragments f = {
+        depth,      target_position, links, width, height, width * height, frame->target_width, frame->target_height,
+        frame->zoom};
     return f;
 }
 

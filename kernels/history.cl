@@ -31,7 +31,6 @@
 
 #define NO_MOTION 0.001f /* px: each component of less, with rounding, is within epsilon ... */
 #define LEAST_THRESHOLD 0.01f /* ... if that is at least so much */
-#define STIR_REACH 2 /* px: as far as kernels that skip blocks look around a pixel */
 #define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
@@ -51,9 +50,7 @@ INLINE Ints static_residual(const Ints src_x, const int src_y, const int width, 
     const Ints there = src_x < (src_y < height ? width : 0);
     const Ints src = there ? src_y * width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
-    __global const float *mv_px = (__global const float *)motion;
-    *mv_x = gather_floats(mv_px, 2 * src);
-    *mv_y = gather_floats(mv_px, 2 * src + 1);
+    *mv_x = gather_xy(motion, src, mv_y);
     const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
     *residual_x = px_static.x - (px_x + *mv_x);
     *residual_y = px_static.y - (px_y + *mv_y);
@@ -368,9 +365,8 @@ INLINE float depth_met(const float2 px_prev, const float z_expected, const float
 
 /* The rendered frame and the one before, and the results for dynamic fragments. */
 typedef struct {
-    __global const float *depth;
+    __global const float *depth, *depth_prev;
     __global const float2 *motion;
-    __global const float *depth_prev;
     __global const uchar *dynamic_prev;
     __global const float4 *history_prev;
     __global float *met_depth;
@@ -465,13 +461,7 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
                                  __global const float *threshold_squared, __global const float *quantization_error,
                                  __global const half *color, __global uchar *dynamic_mask, __global float *met_depth,
                                  __global float4 *history, __global int *last_stir, __global half *codes) {
-    const Frames frames = {.depth = depth,
-                           .motion = motion,
-                           .depth_prev = depth_prev,
-                           .dynamic_prev = dynamic_prev,
-                           .history_prev = history_prev,
-                           .met_depth = met_depth,
-                           .history = history};
+    const Frames frames = {depth, depth_prev, motion, dynamic_prev, history_prev, met_depth, history};
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous && frame->motion;
     const Reprojection to_previous = frame->to_previous;

@@ -131,14 +131,7 @@ WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, _
                                      __global const float4 *velocity, __global const uint2 *bend,
                                      __global const uint2 *view_velocity, __global float *target_position,
                                      __global Key *keys, __global uint *winners) {
-    const Tracked fragments = {.depth = depth,
-                               .motion = motion,
-                               .dynamic_mask = dynamic_mask,
-                               .met_depth = met_depth,
-                               .history = history,
-                               .velocity = velocity,
-                               .bend = bend,
-                               .view_velocity = view_velocity};
+    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend, view_velocity};
     const int source_width = given.source_width, source_height = given.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_y == source_height) { /* a row of its own: it takes many registers */

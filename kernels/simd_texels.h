@@ -9,18 +9,6 @@ INLINE Wide4 channels_in(const float *texels) {
     return channels_of_strip(&s);
 }
 
-/* The x and y of float2 that lie at i. */
-INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
-#if LANES == 8
-    const float16 xy = (float16)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7]);
-    *y = xy.odd;
-    return xy.even;
-#else
-    *y = p[i].y;
-    return p[i].x;
-#endif
-}
-
 /* Texels x to x + 3 of a row; beyond the image its border is repeated. */
 INLINE float16 four_texels(__global const half *image, const int x, const int y, const int width, const int height) {
     const int row = clamp(y, 0, height - 1) * width;

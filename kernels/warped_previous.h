@@ -102,13 +102,12 @@ typedef struct {
 /* Replaces the places (x, y) of quads that move, by the motion of both intervals at their first pixels `at`. */
 INLINE void follow_motion(const Frames *f, const Ints at, const Ints follows, const Floats px_x, const float px_y,
                           Wide3 *before, Floats *tolerance, Ints *smooth) {
-    __global const float *out_motion = (__global const float *)f->out_motion,
-                         *motion = (__global const float *)f->motion;
-    const Floats x = px_x + gather_floats(out_motion, 2 * at), y = px_y + gather_floats(out_motion, 2 * at + 1);
+    Floats out_y, mv_y;
+    const Floats x = px_x + gather_xy(f->out_motion, at, &out_y), y = px_y + out_y;
     const int width = f->frame->source_width, height = f->frame->source_height;
     const Ints in_image = follows & (x >= 0.0f) & (x < (float)width) & (y >= 0.0f) & (y < (float)height);
     const Ints src = to_ints(in_image ? y : (Floats)(0.0f)) * width + to_ints(in_image ? x : (Floats)(0.0f));
-    const Floats mv_x = gather_floats(motion, 2 * src), mv_y = gather_floats(motion, 2 * src + 1);
+    const Floats mv_x = gather_xy(f->motion, src, &mv_y);
     const Floats x_before = x + mv_x, y_before = y + mv_y;
     const Floats sideways =
         (fabs(x_before - before->x) + fabs(y_before - before->y)) * (before->z / f->frame->target_to_previous.target.x);
