@@ -16,16 +16,14 @@
 #define JUDGED 4 /* channels before them: own flow (2), how far the found one is followed, how long trends last */
 #define SEEN 16 /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
 #define HIDDEN 16 /* channels of its hidden layer */
-/* SAID: outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend */
-#define SAID 6
+#define SAID 6 /* outputs: change of color (3), detail that is kept, likelihood of the mask, share of the trend */
 #define KEPT 3 /* channels of the correction, after its change of color: detail that is kept, ... */
 #define MASK 4 /* ... focus mask */
 #define SLOPE 0.1f /* of leaky rectifiers */
-/* DISOCCLUDED_BELOW: mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
-#define DISOCCLUDED_BELOW 0.4f
+#define DISOCCLUDED_BELOW 0.4f /* mean input mask of four pixels, at most 0.375 with a disoccluded, no dynamic one */
 #define CHANGE_MARGIN 2.0f /* largest continued change of light, times its last change */
-/* TRUSTED: of the focus mask: all while the last change differs by half of its square from the one before, ... */
-#define TRUSTED 3.0f
+#define TRUSTED 3.0f /* of the mask: all while changes of two intervals differ by half of the square of the last ...   \
+                      */
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
 #define FOLLOWED_SHARE 0.5f /* of a color that follows the flow; docs/deviations.md, "What the image flow explains" */

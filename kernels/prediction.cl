@@ -70,12 +70,11 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
     }
     const float3 p0 = unproject(pixel_center(src_x, src_y), z, frame->to_target.source_inverse);
     if (f.dynamic_mask[src] == FIXED_TO_CAMERA) return (float3)(project(p0, frame->to_target.target), z);
-    const int order = frame->order;
     const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
     float met = f.met_depth[src];
     if (frame->entering && !(met > 0.0f)) met = entering_depth(src_x, src_y, px_prev, frame, f);
-    int known = order > 0 && met > 0.0f;
-    while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
+    int known = frame->order > 0 && met > 0.0f;
+    while (known > 0 && known < frame->order && f.history[known * plane + src].w != 0.0f) ++known;
     const float4 a = frame->polynomial[0], b = frame->polynomial[1], c = frame->polynomial[2], d = frame->polynomial[3];
     const float weight[MAX_ORDER] = {
         /* some drivers fail on an index that is not a constant */

@@ -20,11 +20,9 @@
 /* What set the thresholds: docs/upscaling.md, "Figures". */
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
-/* LEAST_SHOWN: of the displayed color until samples arrive; with a lighter history, samples count less, too */
-#define LEAST_SHOWN 0.5f
+#define LEAST_SHOWN 0.5f /* weight of the displayed color until samples arrive; below it, these count less, too */
 #define FRESH 0.8f /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
-/* SHARP_SLOPE: of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
-#define SHARP_SLOPE 0.75f
+#define SHARP_SLOPE 0.75f /* of the cubic that resamples the history: Catmull-Rom's 0.5 blurs in the long run */
 #define DEVIATIONS 2.0f /* deviations from the mean that a history may have */
 #define COMPRESSED_NOISE 0.01f /* of compressed colors, in addition to their deviation */
 #define SCATTER 1.0f /* weight of the scatter of the history's error, against its mean, which is followed */
@@ -65,9 +63,15 @@ INLINE Ints within(const Floats px_x, const Floats px_y, const int width, const 
     return (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)width) & (px_y < (float)height); /* not of NaN */
 }
 
-/* Finds where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own.
-   Gives whether any is. */
-INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near_x, Ints *near_y) {
+/* The nearest of the 3x3 pixels around each of LANES, if it is of another surface than the pixel's own, else that:
+   their centers and motion. `elsewhere`: whether any is another pixel. */
+typedef struct {
+    Ints at;
+    Floats center_x, center_y, moved_x, moved_y;
+    bool elsewhere;
+} Nearest;
+
+INLINE Nearest nearest_around(const Span p, __global const float *depth, __global const float2 *motion) {
     const Floats own = beside(p, depth, 0, 0);
     Floats least_depth = own > 0.0f ? NOT_NEARER * own : (Floats)(INFINITY);
     Ints dx = (Ints)(0), dy = (Ints)(0);
@@ -79,9 +83,15 @@ INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near
         dx = nearer ? (Ints)(k % 3 - 1) : dx;
         dy = nearer ? (Ints)(k / 3 - 1) : dy;
     }
-    *near_x = clamp(p.x + LANE_NUMBERS + dx, (Ints)(0), (Ints)(p.width - 1));
-    *near_y = clamp(p.y + dy, (Ints)(0), (Ints)(p.height - 1));
-    return ANY((dx != 0) | (dy != 0));
+    const Ints x = clamp(p.x + LANE_NUMBERS + dx, (Ints)(0), (Ints)(p.width - 1));
+    const Ints y = clamp(p.y + dy, (Ints)(0), (Ints)(p.height - 1));
+    Nearest n;
+    n.at = y * p.width + x;
+    n.center_x = to_floats(x) + 0.5f;
+    n.center_y = to_floats(y) + 0.5f;
+    n.elsewhere = ANY((dx != 0) | (dy != 0));
+    n.moved_x = n.elsewhere ? gather_xy(motion, n.at, &n.moved_y) : xy_beside(p, motion, 0, 0, &n.moved_y);
+    return n;
 }
 
 /* The share of px in the image before was not hidden by something nearer than `expected`: bilinear. */
@@ -132,22 +142,17 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
     const Span p = span_at(x, y, source_width, source_height);
 
     /* Where the nearest surface around was, and how much of that was seen. */
-    Ints near_x, near_y;
-    const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
-    const Ints nearest = near_y * source_width + near_x;
-    const Floats z = elsewhere ? gather_floats(depth, nearest) : beside(p, depth, 0, 0);
-    Floats moved_y;
-    const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
+    const Nearest near = nearest_around(p, depth, motion);
+    const Floats z = near.elsewhere ? gather_floats(depth, near.at) : beside(p, depth, 0, 0);
     const Ints moves = (z > 0.0f) & ((Ints)(has_history) != 0);
     Floats seen = 0.0f;
     if (has_history) {
-        const Floats center_x = to_floats(near_x) + 0.5f, center_y = to_floats(near_y) + 0.5f;
-        const Wide3 v = wide_unproject(center_x, center_y, z, frame->to_previous.source_inverse);
+        const Wide3 v = wide_unproject(near.center_x, near.center_y, z, frame->to_previous.source_inverse);
         const float4 forward = frame->to_previous.row2;
         const Floats expected = forward.x * v.x + forward.y * v.y + forward.z * v.z + forward.w;
         const Floats share =
-            share_seen(center_x + moved_x, center_y + moved_y, isinf(z) ? (Floats)(INFINITY) : expected, source_width,
-                       source_height, previous_depth);
+            share_seen(near.center_x + near.moved_x, near.center_y + near.moved_y,
+                       isinf(z) ? (Floats)(INFINITY) : expected, source_width, source_height, previous_depth);
         seen = z > 0.0f ? share : (Floats)(0.0f);
     }
     /* How the color differs from the history there. */
@@ -156,7 +161,8 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
     const Ints known = seen > 0.0f;
     if (ANY(known)) {
         const float4 to = frame->to_previous_display;
-        const Floats px_x = (row_centers(x) + moved_x) * to.x + to.z, px_y = ((float)y + 0.5f + moved_y) * to.y + to.w;
+        const Floats px_x = (row_centers(x) + near.moved_x) * to.x + to.z;
+        const Floats px_y = ((float)y + 0.5f + near.moved_y) * to.y + to.w;
         const Wide4 foretold =
             compressed_of(within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f),
                                        frame->target_width, frame->target_height, history),
@@ -166,7 +172,7 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
     }
     here.c[3] = seen;
     store_channels(here, count, out_compressed + 4 * i);
-    store_some_xy(moves ? moved_x : (Floats)(NAN), moves ? moved_y : (Floats)(NAN), count, out_dilated + i);
+    store_some_xy(moves ? near.moved_x : (Floats)(NAN), moves ? near.moved_y : (Floats)(NAN), count, out_dilated + i);
     store_channels(surprise, count, out_surprise + 4 * i);
 }
 
@@ -343,16 +349,11 @@ WIDE __kernel void generate(__constant Frame *restrict frame, const int correcte
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
     if (x >= target_width || y >= target_height) return;
     const Span p = span_at(x, y, target_width, target_height);
-    Ints near_x, near_y;
-    const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
-    const Ints nearest = near_y * target_width + near_x;
-    Floats moved_y;
-    const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
-    const Floats center_x = to_floats(near_x) + 0.5f, center_y = to_floats(near_y) + 0.5f;
-    const Floats px_x = row_centers(x) + ((center_x + moved_x) * to_shown.x + to_shown.z - center_x);
-    const Floats px_y = ((float)y + 0.5f) + ((center_y + moved_y) * to_shown.y + to_shown.w - center_y);
+    const Nearest near = nearest_around(p, depth, motion);
+    const Floats px_x = row_centers(x) + ((near.center_x + near.moved_x) * to_shown.x + to_shown.z - near.center_x);
+    const Floats px_y = ((float)y + 0.5f) + ((near.center_y + near.moved_y) * to_shown.y + to_shown.w - near.center_y);
     Ints uncovered = bytes_beside(p, disoccluded, 0, 0);
-    if (elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, nearest));
+    if (near.elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, near.at));
     const Ints seen = (uncovered == 0) & within(px_x, px_y, target_width, target_height);
     Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, SHARP_SLOPE, history);
     const Ints own_i = clamped_beside(p, 0, 0);
