@@ -30,23 +30,18 @@ typedef struct {
     float x0, y0, x1, y1;
 } Box;
 
-/* The reach of a source block; one that touches the border of the image is looked at pixel by pixel. */
+/* The reach of a source block; beyond the image its last pixels count again. */
 INLINE Box reach_of(const Fragments f, const int x0, const int y0) {
-    const bool inner = x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= f.width && y0 + BLOCK_HEIGHT + 1 <= f.height;
     const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
     Floats low_x = far_off, low_y = far_off, high_x = -far_off, high_y = -far_off;
     for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, f.height); ++src_y)
-        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); src_x += inner ? LANES : 1) {
-            const int src = src_y * f.width + src_x;
+        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); src_x += LANES) {
+            Places src;
             Positions at;
             WideFlow flow;
-            if (inner)
-                load_positions_of_run(f, src, &at);
-            else
-                load_positions_of_one(f, src, f.links[src], &at);
-            const Ints bits = inner ? to_ints(load_bytes(0, f.links + src)) : (Ints)(f.links[src]);
-            const Floats z_source = inner ? load_floats(0, f.depth + src) : (Floats)(f.depth[src]);
-            wide_flow(at, bits, z_source, f.zoom, &flow);
+            find_places(src_y * f.width + min(src_x + LANE_NUMBERS, (Ints)(f.width - 1)), f.width, f.plane, &src);
+            load_positions(f, src, &at);
+            wide_flow(at, to_ints(bytes_at(f.links, src)), floats_at(f.depth, src), f.zoom, &flow);
             const Floats x = at.x.here, y = at.y.here;
             const Ints lands = (at.z.here > 0.0f) & (x > -reach) & (y > -reach) & (x < (float)f.target_width + reach)
                                & (y < (float)f.target_height + reach);

@@ -22,8 +22,9 @@
 #define SLOPE 0.1f /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW 0.4f /* mean input mask of four pixels, at most 0.375 with a disoccluded, no dynamic one */
 #define CHANGE_MARGIN 2.0f /* largest continued change of light, times its last change */
-#define TRUSTED 3.0f /* of the mask: all while changes of two intervals differ by half of the square of the last ...   \
-                      */
+#define TRUSTED                                                                                                        \
+    3.0f /* of the mask: all while changes of two intervals differ by half of the square of the last ...               \
+          */
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
 #define FOLLOWED_SHARE 0.5f /* of a color that follows the flow; docs/deviations.md, "What the image flow explains" */

@@ -48,9 +48,10 @@ INLINE int lanes_where(const Ints condition, const int count) {
     return number;
 }
 
-/* Counts of this work-item, into two planes of a texel for each run of an image of this size. */
-INLINE void store_counts(const int width, const int height, const int first, const int second, __global uchar *counts) {
-    const int runs = runs_of(width), place = get_global_id(1) * runs + get_global_id(0) * LANES;
+/* Counts of this work-item, into two planes from `plane` on of a texel for each run of an image of this size. */
+INLINE void store_counts(const int width, const int height, const int plane, const int first, const int second,
+                         __global uchar *counts) {
+    const int runs = runs_of(width), place = (plane * height + get_global_id(1)) * runs + get_global_id(0) * LANES;
     counts[place] = first;
     counts[runs * height + place] = second;
 }
@@ -146,7 +147,7 @@ INLINE void take(const int width, const int height, __global const float *given,
         }
         store_strip(s, count, color + 4 * i);
     }
-    store_counts(width, height, infinite, clamped, bad_pixels);
+    store_counts(width, height, 0, infinite, clamped, bad_pixels);
 }
 
 /* Floats or halves. */
@@ -211,8 +212,8 @@ WIDE __kernel void take_geometry(const int width, const int height, __global con
         check_motion(&motion_x, &motion_y, count, diagonal_squared, &bad_motion, &too_long);
         store_some_xy(motion_x, motion_y, count, motion + i);
     }
-    store_counts(width, height, bad_depth, bad_motion, bad_pixels + 2 * runs_of(width) * height);
-    store_counts(width, height, far, too_long, bad_pixels + 4 * runs_of(width) * height);
+    store_counts(width, height, 2, bad_depth, bad_motion, bad_pixels);
+    store_counts(width, height, 4, far, too_long, bad_pixels);
 }
 
 /* Values i, i + step ... as they are stored, for the first `count` lanes; others repeat the last. */
@@ -312,10 +313,8 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
         }
         store_some_xy(motion_x, motion_y, count, motion + i);
     }
-    const int full_width = frame->source_width, full_height = frame->source_height;
-    const int plane = runs_of(full_width) * full_height;
-    store_counts(full_width, full_height, bad_depth, bad_motion, bad_pixels + 2 * plane);
-    store_counts(full_width, full_height, far, too_long, bad_pixels + 4 * plane);
+    store_counts(frame->source_width, frame->source_height, 2, bad_depth, bad_motion, bad_pixels);
+    store_counts(frame->source_width, frame->source_height, 4, far, too_long, bad_pixels);
 }
 
 /* Depths of the samples around LANES of them, row by row; 0 beyond the image. */
