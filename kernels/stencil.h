@@ -36,7 +36,10 @@ INLINE Ints bytes_beside(const Span p, __global const uchar *plane, const int dx
 }
 
 INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx, const int dy, Floats *y) {
-    return p.inner ? load_xy(plane + first_beside(p, dx, dy), y) : gather_xy(plane, clamped_beside(p, dx, dy), y);
+    if (p.inner) return load_xy(plane + first_beside(p, dx, dy), y);
+    const Ints i = 2 * clamped_beside(p, dx, dy);
+    *y = gather_floats((__global const float *)plane, i + 1);
+    return gather_floats((__global const float *)plane, i);
 }
 
 /* Texels of a half image, unchecked. */
