@@ -113,18 +113,16 @@ INLINE float3 static_source(const int dst_x, const int dst_y, const float invers
     return reproject(pixel_center(dst_x, dst_y), z, to_source);
 }
 
-/* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
+/* Code of the rendered frame's color at the place on its border that is closest to `px_source`, a place out of screen;
+   linear between two pixels. */
 INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *codes) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)),
                 y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
-    const int x0 = (int)x, y0 = (int)y;
-    float3 sum = (float3)(0.0f);
-    for (int tap = 0; tap < 4; ++tap) {
-        const int src = min(y0 + (tap >> 1), height - 1) * width + min(x0 + (tap & 1), width - 1);
-        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * stored_code(codes, src);
-    }
-    return sum;
+    const int x0 = (int)x, y0 = (int)y, src = y0 * width + x0;
+    const float after_x = x - (float)x0, after_y = y - (float)y0, after = fmax(after_x, after_y);
+    const int next = after_x > 0.0f ? 1 : after_y > 0.0f ? width : 0;
+    return (1.0f - after) * stored_code(codes, src) + after * stored_code(codes, src + next);
 }
 
 /* Whether a place lies outside of the rendered image. */
@@ -145,12 +143,15 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 
 #define CELL 8 /* px each way, of the grid "cells" */
 #define LINE_STRIDE 2 /* px between its samples */
-#define CELLS_AROUND 3 /* along the border, on either side, over which lines have one direction ... */
-#define CLOSE_COUNTS 4.0f /* ... those close by count most: one a cell away 1 / (1 + CLOSE_COUNTS) */
+#define CELLS_AROUND 4 /* along the border, on either side, over which lines have one direction ... */
+#define CLOSE_COUNTS                                                                                                   \
+    4.0f /* ... those close by count most: one a cell away 1 / (1 + CLOSE_COUNTS), and more the farther                \
+            out: lines that turn from cell to cell would cross there */
 #define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
 #define CELL_NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
 #define APPROACHES 2 /* of the place where a line leaves the image */
-#define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
+#define BLUR_TAPS 4 /* on either side along the border */
+#define FADE 0.16f /* px between them per px out of the image, in units of what the lines' direction leaves open */
 
 /* Sums over samples of a cell: products of the changes of color codes in x and y (the structure tensor). */
 INLINE void find_lines(const int cell_x, const int cell_y, __constant Frame *frame, __global const half *codes,
@@ -197,19 +198,20 @@ typedef struct {
 } Lines;
 
 /* Lines at the border's pixel `along` (px in x if the border is `horizontal`, else in y), in the border's row or
-   column of cells that begins at cell `first`. */
-INLINE Lines lines_at(const float along, const bool horizontal, const int first, __constant Frame *frame,
-                      __global const float *border_lines) {
+   column of cells that begins at cell `first`, for a place `out` px out of the image. */
+INLINE Lines lines_at(const float along, const float out, const bool horizontal, const int first,
+                      __constant Frame *frame, __global const float *border_lines) {
     const int plane = frame->cells_width * frame->cells_height;
     const int count = horizontal ? frame->cells_width : frame->cells_height, step = horizontal ? 1 : frame->cells_width;
     const float side = (float)(horizontal ? frame->source_width : frame->source_height);
     const float at = clamp(along, 0.0f, side) * (1.0f / CELL) - 0.5f;
     const int low = (int)floor(at);
+    const float cells_out = out * (1.0f / CELL), close_counts = divide(CLOSE_COUNTS, 1.0f + cells_out * cells_out);
     float across = 0.0f, both = 0.0f, inward = 0.0f;
     for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
         const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
         const float window = fmax(1.0f - part * part, 0.0f),
-                    weight = divide(window * window, 1.0f + CLOSE_COUNTS * off * off);
+                    weight = divide(window * window, 1.0f + close_counts * off * off);
         const int cell = first + k * step;
         across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
         both += weight * border_lines[plane + cell];
@@ -239,18 +241,20 @@ INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, cons
     const float start = along;
     Lines lines;
     for (int k = 0; k < APPROACHES; ++k) {
-        lines = lines_at(along, horizontal, first, frame, f.border_lines);
+        lines = lines_at(along, out, horizontal, first, frame, f.border_lines);
         along = start + out * lines.slope;
     }
-    const float blur = FADE * lines.spread * fabs(out);
+    const float apart = FADE * lines.spread * fabs(out);
     float3 sum = (float3)(0.0f);
-    for (int k = -2; k <= 2; ++k) {
-        const float at = along + 0.75f * blur * (float)k;
+    float weight_sum = 0.0f;
+    for (int k = -BLUR_TAPS; k <= BLUR_TAPS; ++k) {
+        const float at = along + apart * (float)k, part = (float)k * (1.0f / (BLUR_TAPS + 1)),
+                    weight = 1.0f - part * part;
         const float2 place = horizontal ? (float2)(at, px_source.y) : (float2)(px_source.x, at);
-        const float weight = k == 0 ? 0.316f : k == 1 || k == -1 ? 0.239f : 0.103f;
         sum += weight * border_code(place, frame, f.codes);
+        weight_sum += weight;
     }
-    return decode_color(sum, frame->code_offset);
+    return decode_color(mean_of(sum, weight_sum), frame->code_offset);
 }
 
 /* Whether a surface can be at a place of the rendered frame: not in front of that which the frame shows there. */

@@ -87,15 +87,16 @@ def border_lines(codes):
     return found
 
 
-def _lines_at(along, cells, side):
-    """Return (slope, spread) of lines that cross the border at `along` px; `cells` (3, n): sums of products of changes
-    along the border, of both changes, and of changes inward."""
+def _lines_at(along, away, cells, side):
+    """Return (slope, spread) of lines that cross the border at `along` px, for a place `away` px out of the image;
+    `cells` (3, n): sums of products of changes along the border, of both changes, and of changes inward."""
     at = min(max(along, F(0)), F(side)) / F(HOLES.CELL) - F(0.5)
     k = np.arange(cells.shape[1])
     around = HOLES.CELLS_AROUND
     k = k[(k > np.floor(at) - around) & (k <= np.floor(at) + around)]
     off = at - k
-    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + HOLES.CLOSE_COUNTS * off**2)
+    close_counts = HOLES.CLOSE_COUNTS / (1 + (away / F(HOLES.CELL)) ** 2)
+    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + close_counts * off**2)
     across, both, inward = (cells[:, k] * weight).sum(1)
     sure = across + HOLES.CELL_NOISE
     slope = np.clip(-both / sure, -HOLES.STEEPEST, HOLES.STEEPEST)
@@ -113,14 +114,16 @@ def beyond(at, source_color, lines):
     cells = lines[:, row] if axis == 0 else lines[::-1, :, row]
     along = at[axis]
     for _ in range(HOLES.APPROACHES):
-        slope, spread = _lines_at(along, cells, side)
+        slope, spread = _lines_at(along, away, cells, side)
         along = at[axis] + away * slope
-    total = np.zeros(3)
-    for k, weight in enumerate((0.103, 0.239, 0.316, 0.239, 0.103)):
+    total, weights = np.zeros(3), 0.0
+    for k in range(-HOLES.BLUR_TAPS, HOLES.BLUR_TAPS + 1):
         place = [at[0], at[1]]
-        place[axis] = along + 0.75 * HOLES.FADE * spread * abs(away) * (k - 2)
+        place[axis] = along + HOLES.FADE * spread * abs(away) * k
+        weight = 1 - (k / (HOLES.BLUR_TAPS + 1)) ** 2
         total += weight * _border_code(place, source_color)
-    return decode_color(total.astype(F))
+        weights += weight
+    return decode_color((total / weights).astype(F))
 
 
 def source_of(y, x, inverse, to_source):
