@@ -324,11 +324,11 @@ INLINE float weight_of_far_side(__local const Side *sides, const int far, const 
 }
 
 #define AROUND 4 /* px beyond the edge of a hole, where colors do not change with the mover's outline */
-#define LEAST_CHANGE 0.001f /* squared change around by which a remembered color counts half, at least: noise; white: 1 */
+#define LEAST_CHANGE 0.001f /* squared change around, by which remembered colors count half; white is 1 */
 #define CONTRAST_COUNTS 4.0f /* of the squared difference from colors around, times that by which it counts half */
 
-/* What is around a hole of the background, AROUND px beyond `side` in direction k: its code in the frame before, and the
-   squared change since then, or -1 where that frame did not show it. */
+/* What is around a hole of the background, AROUND px beyond `side` in direction k: its code in the frame before, and
+   the squared change since then, or -1 where that frame did not show it. */
 INLINE float4 change_around(const int k, const Side side, __constant Frame *frame, const Before before,
                             __global const uchar *disoccluded, __global const float *depth,
                             __global const half *color) {
@@ -387,8 +387,7 @@ INLINE bool is_of_background(const uint entry, __global const uchar *filled_by) 
 WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global const half *codes,
                                     __global const uint *open, __global const uchar *disoccluded,
                                     __global const uchar *filled_by, __global const half *color_prev,
-                                    __global const float *depth_prev,
-                                    __global const float *depth, __global half *color,
+                                    __global const float *depth_prev, __global const float *depth, __global half *color,
                                     __global float *border_lines, __global uint *beyond) {
     __local Side sides[TEAMS][DIRECTIONS];
     __local float4 changes[TEAMS][DIRECTIONS];
