@@ -329,17 +329,17 @@ INLINE float weight_of_far_side(__local const Side *sides, const int far, const 
 
 /* What is around a hole of the background, AROUND px beyond `side` in direction k: its code in the frame before, and
    the squared change since then, or -1 where that frame did not show it. */
-INLINE float4 change_around(const int k, const Side side, __constant Frame *frame, const Before before,
+INLINE float4 change_around(const int k, __local const Side *side, __constant Frame *frame, const Before before,
                             __global const uchar *disoccluded, __global const float *depth,
                             __global const half *color) {
     const float4 unknown = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
     const int width = frame->target_width;
     const int2 d = AROUND * direction(k);
-    const int dst_x = side.px % width + d.x, dst_y = side.px / width + d.y, dst = dst_y * width + dst_x;
-    if (!side.meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
+    const int dst_x = side->px % width + d.x, dst_y = side->px / width + d.y, dst = dst_y * width + dst_x;
+    if (!side->meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
     const float z = depth[dst];
     float3 code;
-    if (!is_as_far(isinf(z) ? 0.0f : divide(1.0f, z), side.inverse)
+    if (!is_as_far(isinf(z) ? 0.0f : divide(1.0f, z), side->inverse)
         || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
         return unknown;
     const float3 change = load_code(color, dst, frame->code_offset) - code;
@@ -400,10 +400,9 @@ WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
         const uint hole = entry_of(open, first + team);
         const bool is_filled = is_of_background(hole, filled_by);
         for (int k = item % TEAM; is_filled && k < DIRECTIONS; k += TEAM) {
-            const Side s =
+            sides[team][k] =
                 look((int)hole % width, (int)hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
-            sides[team][k] = s;
-            changes[team][k] = change_around(k, s, frame, before, disoccluded, depth, color);
+            changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
         const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;

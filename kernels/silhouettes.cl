@@ -341,9 +341,20 @@ LISTS __kernel void soften(__constant Frame *restrict frame, __global const ucha
                            __global const half *color, __global const float *depth, __global const float2 *motion,
                            __global const uchar *filled_by, __global uchar *coverage, __global uint *softened,
                            __global uint *soft) {
-    const Source s = {frame->source_width, frame->source_height, frame->zoom, target_position, codes};
-    const Layers l = {layer, behind, share};
-    const Shown f = {frame->target_width, frame->target_height, frame->code_offset, color, depth, motion, filled_by};
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const Source s = {.width = frame->source_width,
+                      .height = frame->source_height,
+                      .zoom = frame->zoom,
+                      .target_position = target_position,
+                      .codes = codes};
+    const Layers l = {.layer = layer, .behind = behind, .share = share};
+    const Shown f = {.width = target_width,
+                     .height = target_height,
+                     .code_offset = frame->code_offset,
+                     .color = color,
+                     .depth = depth,
+                     .motion = motion,
+                     .filled_by = filled_by};
     __local int4 held[1 << SOFT_BITS];
     __local uint shared[2];
     soften_pixels(s, l, f, marked, softened, coverage, soft, held, shared);
