@@ -22,9 +22,8 @@
 #define SLOPE 0.1f /* of leaky rectifiers */
 #define DISOCCLUDED_BELOW 0.4f /* mean input mask of four pixels, at most 0.375 with a disoccluded, no dynamic one */
 #define CHANGE_MARGIN 2.0f /* largest continued change of light, times its last change */
-#define TRUSTED                                                                                                        \
-    3.0f /* of the mask: all while changes of two intervals differ by half of the square of the last ...               \
-          */
+/* TRUSTED: of the focus mask: all while the last change differs by half of its square from the one before, ... */
+#define TRUSTED 3.0f
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
 #define FOLLOWED_SHARE 0.5f /* of a color that follows the flow; docs/deviations.md, "What the image flow explains" */
@@ -205,12 +204,11 @@ INLINE void store_where(const Ints holds, const Wide4 c, const int count, __glob
             ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
 }
 
-/* `now`, and as much of `then` as its share tells. */
-INLINE Wide4 mixed(const Wide4 now, const Wide4 then, const Floats share) {
+/* Mixes `then` into `now`, as much as its share tells. */
+INLINE void mix_in(const Wide4 then, const Floats share, Wide4 *now) {
     const Floats rest = 1.0f - share;
-    Wide4 c = {{0.0f, 0.0f, 0.0f, 0.0f}};
-    for (int k = 0; k < 3; ++k) c.c[k] = now.c[k] * rest + then.c[k] * share;
-    return c;
+#pragma unroll
+    for (int k = 0; k < 3; ++k) now->c[k] = now->c[k] * rest + then.c[k] * share;
 }
 
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that
@@ -235,8 +233,9 @@ WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __
         store_where((Ints)(0), made, count, color + 4 * i, out_color + 4 * i);
         return;
     }
-    const Wide4 now = finite_rgb(load_some_channels(count, color + 4 * i));
+    Wide4 now = finite_rgb(load_some_channels(count, color + 4 * i));
     const Floats keep = interpolate(correction + KEPT * plane, &taps);
+#pragma unroll
     for (int k = 0; k < 3; ++k) {
         const Floats low = interpolate(frames + k * plane, &taps), change = interpolate(correction + k * plane, &taps);
         made.c[k] = low + change + keep * (encode(now.c[k], law) - low);
@@ -244,10 +243,12 @@ WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __
     const Ints usable = isfinite(made.c[0] + made.c[1] + made.c[2] + m);
     const Floats mask = (usable & (m >= LEAST_MASK)) ? wide_lesser(m, (Floats)(1.0f)) : (Floats)(0.0f);
     store_some_halfs(mask, count, focus_mask + i);
+#pragma unroll
     for (int k = 0; k < 3; ++k) made.c[k] = decode(made.c[k], law);
     if (with_refined) store_where(usable, made, count, color + 4 * i, refined + 4 * i);
     const Floats whole = usable ? (Floats)(1.0f) : (Floats)(0.0f), share = within_mask ? mask : whole;
-    store_where(share > 0.0f, mixed(now, made, share), count, color + 4 * i, out_color + 4 * i);
+    mix_in(made, share, &now);
+    store_where(share > 0.0f, now, count, color + 4 * i, out_color + 4 * i);
 }
 
 /* Whether any of the pixels of a quarter of the resolution between which those of the display from (x, y) on lie is
@@ -287,9 +288,11 @@ WIDE __kernel void follow_flow(__constant Frame *restrict frame, __global const 
                     b = gather_channels(extrapolated, there.tap + there.right),
                     c = gather_channels(extrapolated, below), d = gather_channels(extrapolated, below + there.right);
         Wide4 moved = a;
-        for (int k = 0; k < 3; ++k) moved.c[k] = between_taps(a.c[k], b.c[k], c.c[k], d.c[k], &there);
+#pragma unroll
+        for (int k = 0; k < 3; ++k) moved.c[k] = finite(between_taps(a.c[k], b.c[k], c.c[k], d.c[k], &there));
         __global half *out = color + 4 * (y * target_width + x);
-        const Wide4 now = finite_rgb(load_some_channels(count, out));
-        store_where(share > 0.0f, mixed(now, finite_rgb(moved), share), count, out, out);
+        Wide4 now = finite_rgb(load_some_channels(count, out));
+        mix_in(moved, share, &now);
+        store_where(share > 0.0f, now, count, out, out);
     }
 }

@@ -323,18 +323,18 @@ INLINE float weight_of_far_side(__local const Side *sides, const int far, const 
     return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
 }
 
-#define AROUND 4 /* px beyond the edge of a hole, where colors do not change with the mover's outline */
+#define BEYOND_EDGE 4 /* px beyond the edge of a hole, where colors do not change with the mover's outline */
 #define LEAST_CHANGE 0.001f /* squared change around, by which remembered colors count half; white is 1 */
 #define CONTRAST_COUNTS 4.0f /* of the squared difference from colors around, times that by which it counts half */
 
-/* What is around a hole of the background, AROUND px beyond `side` in direction k: its code in the frame before, and
-   the squared change since then, or -1 where that frame did not show it. */
+/* What is around a hole of the background, BEYOND_EDGE px beyond `side` in direction k: its code in the frame before,
+   and the squared change since then, or -1 where that frame did not show it. */
 INLINE float4 change_around(const int k, __local const Side *side, __constant Frame *frame, const Before before,
                             __global const uchar *disoccluded, __global const float *depth,
                             __global const half *color) {
     const float4 unknown = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
     const int width = frame->target_width;
-    const int2 d = AROUND * direction(k);
+    const int2 d = BEYOND_EDGE * direction(k);
     const int dst_x = side->px % width + d.x, dst_y = side->px / width + d.y, dst = dst_y * width + dst_x;
     if (!side->meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
     const float z = depth[dst];

@@ -62,9 +62,11 @@ INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const 
         c->known &= (z_prev == before.z) | (fabs(z_prev - before.z) <= tolerance);
         const Floats weight = (dx ? u : 1.0f - u) * (dy ? v : 1.0f - v);
         const Wide4 rgb = finite_rgb(gather_channels(f.color_prev, at));
+#pragma unroll
         for (int k = 0; k < 3; ++k) sum[k] += weight * rgb.c[k];
     }
     const Wide4 now = finite_rgb(gather_channels(f.color, src));
+#pragma unroll
     for (int k = 0; k < 3; ++k) c->factor[k] = factor_of(now.c[k], sum[k], c->known, frame->color_law);
 }
 

@@ -3,6 +3,7 @@
 #include "frame.h"
 #include "color_code.h"
 
+/* What set the threshold: docs/deviations.md, "Fragments must be deeper by a margin (case 2)". */
 #define SAME_LEVEL 0.02f /* relative depth within which two fragments may be of the same surface */
 
 /* The frame before. `state`, if not 0: only pixels that are SHOWN count, which hold their own surface's color only. */

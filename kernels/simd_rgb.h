@@ -2,7 +2,7 @@
 
 #include "simd.h"
 
-/* Channels of LANES pixels, apart. */
+/* Channels of LANES pixels, apart. Loops over them are unrolled: Oclgrind cannot build others. */
 typedef struct {
     Floats c[4];
 } Wide4;
@@ -10,6 +10,7 @@ typedef struct {
 DEFINE_FINITE(Floats, finite)
 
 INLINE Wide4 finite_rgb(Wide4 color) {
+#pragma unroll
     for (int k = 0; k < 3; ++k) color.c[k] = finite(color.c[k]);
     return color;
 }

@@ -42,6 +42,7 @@
 /* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
 INLINE Wide4 compressed_of(const Wide4 rgb, const float exposure) {
     Floats lit[3];
+#pragma unroll
     for (int k = 0; k < 3; ++k) lit[k] = wide_greater(rgb.c[k], (Floats)(0.0f)) * exposure;
     const Floats scale = wide_divide((Floats)(1.0f), 1.0f + wide_greater(lit[0], wide_greater(lit[1], lit[2])));
     const Floats green = 0.5f * lit[1], others = 0.25f * (lit[0] + lit[2]);
@@ -52,9 +53,11 @@ INLINE Wide4 compressed_of(const Wide4 rgb, const float exposure) {
 INLINE Wide4 expanded(const Wide4 ycocg, const float exposure) {
     const Floats y = ycocg.c[0], co = ycocg.c[1], cg = ycocg.c[2], rest = y - cg;
     Wide4 rgb = {{rest + co, y + cg, rest - co, ycocg.c[3]}};
+#pragma unroll
     for (int k = 0; k < 3; ++k) rgb.c[k] = wide_greater(rgb.c[k], (Floats)(0.0f));
     const Floats most = 1.0f - wide_greater(rgb.c[0], wide_greater(rgb.c[1], rgb.c[2]));
     const Floats scale = wide_divide((Floats)(1.0f), wide_greater(most, (Floats)(1e-4f)) * exposure);
+#pragma unroll
     for (int k = 0; k < 3; ++k) rgb.c[k] = wide_lesser(rgb.c[k] * scale, (Floats)(COLOR_MAX));
     return rgb;
 }
@@ -125,6 +128,7 @@ INLINE Wide4 within_range(Wide4 color, const Floats px_x, const Floats px_y, con
         vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);
     }
     const Wide4 least = channels_in(low), most = channels_in(high);
+#pragma unroll
     for (int k = 0; k < 3; ++k) color.c[k] = within_limits(color.c[k], least.c[k], most.c[k]);
     return color;
 }
@@ -167,6 +171,7 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
             compressed_of(within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f),
                                        frame->target_width, frame->target_height, history),
                           frame->exposure);
+#pragma unroll
         for (int k = 0; k < 3; ++k) surprise.c[k] = known ? here.c[k] - foretold.c[k] : (Floats)(0.0f);
         surprise.c[3] = known ? (Floats)(1.0f) : (Floats)(0.0f);
     }
@@ -232,6 +237,7 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
                      const float exposure) {
     Wide4 past = compressed_of(found, exposure);
     const Floats gain = wide_divide(wide_greater(past.c[0] + around.c[3], (Floats)(0.0f)), past.c[0] + 1e-4f);
+#pragma unroll
     for (int k = 0; k < 3; ++k) {
         const Floats room = DEVIATIONS * around.c[k] + (COMPRESSED_NOISE + more_room);
         past.c[k] = within_limits(past.c[k] * gain, mean.c[k] - room, mean.c[k] + room);
@@ -329,6 +335,7 @@ WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const h
     const Floats held = wide_greater(r.held, (Floats)(LEAST_SHOWN));
     total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);
+#pragma unroll
     for (int k = 0; k < 3; ++k) {
         const Floats now = fresh.c[k] * per_far, before = r.color.c[k];
         sum.c[k] = (counted * sum.c[k] + held * (known ? before + (now - before) * share : now)) * scale;
@@ -361,8 +368,10 @@ WIDE __kernel void generate(__constant Frame *restrict frame, const int correcte
     if (corrected || !ALL(seen)) own = finite_rgb(gather_channels(color, own_i));
     if (corrected) {
         const Wide4 before = finite_rgb(gather_channels(gae, own_i));
+#pragma unroll
         for (int k = 0; k < 3; ++k) shown.c[k] += own.c[k] - before.c[k];
     }
+#pragma unroll
     for (int k = 0; k < 3; ++k)
         shown.c[k] = seen ? within_limits(shown.c[k], (Floats)(0.0f), (Floats)(COLOR_MAX)) : own.c[k];
     shown.c[3] = 0.0f;

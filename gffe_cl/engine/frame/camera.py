@@ -198,7 +198,7 @@ class Camera:
         angles = validation.require_vector(rotation, "camera: rotation (pitch, yaw, roll)")
         return cls(conventions.unreal_view(location, *angles), focal, focal, width / 2, height / 2)
 
-    @cached_property
+    @property
     def intrinsics(self) -> tuple[float, float, float, float]:
         """Focal lengths fx, fy and principal point cx, cy in pixels."""
         return (self.fx, self.fy, self.cx, self.cy)
