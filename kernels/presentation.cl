@@ -28,7 +28,7 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
     if (dst_x >= target_width) return;
     const float px_render = ((float)dst_x + 0.5f) * to_render.x + to_render.z;
     const float left = floor(px_render - 0.5f);
-    const float4 weights_x = cubic_weights(px_render - 0.5f - left);
+    const float4 weights_x = cubic_weights(px_render - 0.5f - left, CATMULL_ROM);
     const int right = source_width - 1, x0 = (int)left - 1;
     const int4 tap =
         (int4)(clamp(x0, 0, right), clamp(x0 + 1, 0, right), clamp(x0 + 2, 0, right), clamp(x0 + 3, 0, right));
@@ -48,7 +48,7 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
                              load_rgb(color, row + tap.z), load_rgb(color, row + tap.w));
         }
         held = y0;
-        const Rgb c = cubic_rgb(cubic_weights(py_render - 0.5f - top), row0, row1, row2, row3);
+        const Rgb c = cubic_rgb(cubic_weights(py_render - 0.5f - top, CATMULL_ROM), row0, row1, row2, row3);
         store_color((float3)(c.r, c.g, c.b), out_color, dst_y * target_width + dst_x);
     }
 }

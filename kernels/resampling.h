@@ -5,11 +5,35 @@
 #include "color_code.h"
 #include "cubic.h"
 
+/* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
+#define SHARPER_SLOPE 0.12f /* by how much the cubic's slope grows for a sharpness of 1 */
+#define STEEPER 0.2f /* by how much an edge is steepened for a sharpness of 1, midway between pixels */
+#define FULL_RANGE 0.4f /* of colors, white being 1, between which edges are steepened in full */
+
+/* How much sharper than Catmull-Rom's is interpolation. */
+typedef struct {
+    float slope; /* of the cubic */
+    float steeper; /* by how much edges are steepened, midway between pixels */
+    float per_range; /* 1 / the range of codes from which on they are so in full */
+} Sharpening;
+
+/* For a measured sharpness (sharpness.cl). */
+INLINE Sharpening sharpening(const float sharpness, const float code_offset) {
+    const float white = code_offset > 0.0f ? 4.0f * code_offset * code_offset : 1.0f;
+    const Sharpening s = {CATMULL_ROM + SHARPER_SLOPE * sharpness, STEEPER * sharpness,
+                          divide(1.0f / FULL_RANGE, white)};
+    return s;
+}
+
+/* 1 midway between pixels, 0 at their centers. */
+#define MIDWAY(u, v) (1.0f - fabs(2.0f * (u) - 1.0f) * fabs(2.0f * (v) - 1.0f))
+
 /* Images of the rendered frame that its fragments bring along. */
 typedef struct {
     __global const half *color, *codes;
     __global const uchar *dynamic_mask;
     float code_offset;
+    Sharpening sharpening;
 } Rendered;
 
 #define ALL_ALIKE 0xFF  /* of taps that move alike: bits 0 to 3 the inner ones, 4 to 7 the corners */
@@ -39,8 +63,10 @@ typedef struct {
 INLINE float3 resample(const Sample s, const int source_width, const Rendered shown) {
     if (s.tap == s.src && s.u == 0.0f && s.v == 0.0f) return load_color(shown.color, s.src);
     if (s.alike != ALL_ALIKE) return of_those_alike(s.alike, s.tap, s.u, s.v, source_width, s.src, shown);
-    const float4 wx = cubic_weights(s.u), wy = cubic_weights(s.v);
-    const float3 code = cubic(s.tap - source_width - 1, without_corners(wx, wy), wy, source_width, shown.codes);
+    const Sharpening sharp = shown.sharpening;
+    const float4 wx = cubic_weights(s.u, sharp.slope), wy = cubic_weights(s.v, sharp.slope);
+    const float3 code = cubic(s.tap - source_width - 1, without_corners(wx, wy), wy, source_width, shown.codes,
+                              sharp.steeper * MIDWAY(s.u, s.v), sharp.per_range);
     return decode_color(code, shown.code_offset);
 }
 
@@ -71,11 +97,12 @@ DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
 
 /* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`,
    keep its bits. False where they are to be made one by one. */
-INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const int source_width,
-                          const Rendered shown, __global half *out_color) {
+INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const float4 steeper,
+                          const int source_width, const Rendered shown, __global half *out_color) {
     if (any(exact) && !all(exact)) return false;
     const Texels c = all(exact) ? vload_half16(0, shown.color + 4 * tap)
-                                : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes),
+                                : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes,
+                                                             steeper, shown.sharpening.per_range),
                                                 shown.code_offset);
     store_texels(WITHOUT_ALPHA(c), 0, out_color);
     return true;
@@ -87,8 +114,9 @@ INLINE Ints resample_halves(const Samples s, const Ints use, const int source_wi
     int lane_tap[LANES];
     Floats wx[4], wy[4];
     store_ints(s.tap, 0, lane_tap);
-    wide_cubic_weights(s.u, wx);
-    wide_cubic_weights(s.v, wy);
+    wide_cubic_weights(s.u, shown.sharpening.slope, wx);
+    wide_cubic_weights(s.v, shown.sharpening.slope, wy);
+    const Floats steeper = shown.sharpening.steeper * MIDWAY(s.u, s.v);
     wide_without_corners(wx, wy);
     const Ints exact = (s.tap == s.src) & (s.u == 0.0f) & (s.v == 0.0f);
     const Ints whole = use & ((s.alike == ALL_ALIKE) | exact), in_row = s.tap - LANE_NUMBERS;
@@ -97,10 +125,10 @@ INLINE Ints resample_halves(const Samples s, const Ints use, const int source_wi
     const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi},
                  right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
     const bool left = all(whole.lo & (in_row.lo == lane_tap[0]))
-                      && resample_four(lane_tap[0], exact.lo, left_x, left_y, source_width, shown, out_color + 4 * dst);
+                      && resample_four(lane_tap[0], exact.lo, left_x, left_y, steeper.lo, source_width, shown, out_color + 4 * dst);
     const bool right =
         all(whole.hi & (in_row.hi == lane_tap[4] - 4))
-        && resample_four(lane_tap[4], exact.hi, right_x, right_y, source_width, shown, out_color + 4 * (dst + 4));
+        && resample_four(lane_tap[4], exact.hi, right_x, right_y, steeper.hi, source_width, shown, out_color + 4 * (dst + 4));
     return use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
 }
 #else

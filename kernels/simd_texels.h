@@ -77,7 +77,7 @@ INLINE float4 clamped_cubic(const int x, const int y, const float4 wx, const flo
     const float8 above = two_texels(image, x + 1, y, width, height),
                  below = two_texels(image, x + 1, y + 3, width, height);
     const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);
-    return cubic_of_rows(above, b, c, below, wx, wy);
+    return cubic_of_rows(above, b, c, below, wx, wy, 0.0f, NOT_STEEPER);
 #else  /* a column at a time: all of them at once take 48 registers */
     const int row_b = clamp(y + 1, 0, height - 1) * width, row_c = clamp(y + 2, 0, height - 1) * width;
     float4 sum = (float4)(0.0f), low = sum, high = sum;
@@ -102,16 +102,6 @@ INLINE float4 clamped_cubic(const int x, const int y, const float4 wx, const flo
 #endif
 }
 
-/* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is
-   sharper. */
-INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
-    const Floats t2 = t * t, t3 = t2 * t;
-    weights[0] = slope * (2.0f * t2 - t - t3);
-    weights[1] = 1.0f + (slope - 3.0f) * t2 + (2.0f - slope) * t3;
-    weights[2] = slope * t + (3.0f - 2.0f * slope) * t2 + (slope - 2.0f) * t3;
-    weights[3] = slope * (t3 - t2);
-}
-
 /* The image at LANES places of the lanes in `use` (others: 0), cubic without corners, clamped to the four inner
    taps. Of finite numbers. */
 INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, const int width, const int height,
@@ -120,8 +110,8 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     const Floats first_x = floor(corner_x), first_y = floor(corner_y);
     const Ints x = to_ints(first_x) - 1, y = to_ints(first_y) - 1;
     Floats wx[4], wy[4];
-    sloped_weights(corner_x - first_x, slope, wx);
-    sloped_weights(corner_y - first_y, slope, wy);
+    wide_cubic_weights(corner_x - first_x, slope, wx);
+    wide_cubic_weights(corner_y - first_y, slope, wy);
     wide_without_corners(wx, wy);
     int lane_use[LANES], lane_x[LANES], lane_y[LANES];
     float texels[4 * LANES], lanes_x[4][LANES], lanes_y[4][LANES];
@@ -141,7 +131,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                                   k ? wx[3].hi : wx[3].lo};
         const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo,
                                   k ? wy[3].hi : wy[3].lo};
-        unload_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image), k, texels);
+        unload_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image, (float4)(0.0f), NOT_STEEPER), k, texels);
         if (k)
             rest.hi = (int4)(0);
         else
