@@ -34,52 +34,64 @@ INLINE void wide_without_corners(Floats *wx, const Floats *wy) {
 
 #define NOT_STEEPER 0.0f /* for `per_range`: interpolation alone */
 
-/* A color that is steepened moves away from the middle of its taps, by `amount` of its distance, in proportion to their
-   range, least to most, up to 1 / per_range. */
-#define DEFINE_STEEPENED(F, name)                                                                                      \
-    INLINE F name(const F color, const F amount, const float per_range, const F least, const F most) {                 \
-        const F range = (most - least) * per_range, part = range < 1.0f ? range : (F)(1.0f);                           \
-        return color + amount * part * (color - 0.5f * (least + most));                                                \
+/* Cubic interpolation of 4x4 taps but for the corners, for colors of type F, a column at a time: all of them at once
+   take many registers. Of finite numbers. The result is steepened: it moves away from the middle of its taps, by
+   `steeper` of its distance, in proportion to their range, up to 1 / per_range. Then it is clamped to the four inner
+   taps. Of the first and the last column, only the taps b and c count. */
+#define DEFINE_CUBIC(F, Sums, add_column, sums_up)                                                                     \
+    typedef struct {                                                                                                   \
+        F sum, low, high, outer_low, outer_high;                                                                       \
+    } Sums;                                                                                                            \
+    INLINE void add_column(const int tx, const F a, const F b, const F c, const F d, const F weight, const F *wy,      \
+                           Sums *s) {                                                                                  \
+        const F lower = b < c ? b : c, higher = b < c ? c : b;                                                         \
+        F column = wy[1] * b + wy[2] * c, outer_low = lower, outer_high = higher;                                      \
+        if (tx == 1 || tx == 2) {                                                                                      \
+            column += wy[0] * a + wy[3] * d;                                                                           \
+            s->low = tx == 1 ? lower : s->low < lower ? s->low : lower;                                                \
+            s->high = tx == 1 ? higher : s->high < higher ? higher : s->high;                                          \
+            outer_low = a < d ? a : d;                                                                                 \
+            outer_high = a < d ? d : a;                                                                                \
+        }                                                                                                              \
+        s->outer_low = tx == 0 ? outer_low : s->outer_low < outer_low ? s->outer_low : outer_low;                      \
+        s->outer_high = tx == 0 ? outer_high : s->outer_high < outer_high ? outer_high : s->outer_high;                \
+        s->sum = tx == 0 ? weight * column : s->sum + weight * column;                                                 \
+    }                                                                                                                  \
+    INLINE F sums_up(const Sums s, const F steeper, const float per_range) {                                           \
+        F sum = s.sum;                                                                                                 \
+        if (per_range != NOT_STEEPER) {                                                                                \
+            const F least = s.outer_low < s.low ? s.outer_low : s.low,                                                 \
+                    most = s.outer_high < s.high ? s.high : s.outer_high;                                              \
+            const F range = (most - least) * per_range, part = range < 1.0f ? range : (F)(1.0f);                       \
+            sum += steeper * part * (sum - 0.5f * (least + most));                                                     \
+        }                                                                                                              \
+        const F raised = sum < s.low ? s.low : sum;                                                                    \
+        return s.high < raised ? s.high : raised;                                                                      \
     }
 
-DEFINE_STEEPENED(float4, steepened)
+DEFINE_CUBIC(float4, CubicSums, add_column, sums_up)
 
-/* Cubic interpolation of 4x4 taps in four rows, but for the corners, steepened, and clamped to the four inner ones. Of
-   finite numbers. The first and the last row begin at the second tap. */
-INLINE float4 cubic_of_rows(const float8 a, const float16 b, const float16 c, const float8 d, const float4 wx,
-                            const float4 wy, const float steeper, const float per_range) {
-    const float16 columns = wy.y * b + wy.z * c;
-    const float8 inner = columns.s456789ab + (wy.x * a + wy.w * d);
-    float4 sum = wx.x * columns.s0123 + wx.y * inner.lo + wx.z * inner.hi + wx.w * columns.scdef;
-    const float16 lower = b < c ? b : c, higher = b < c ? c : b;
-    const float8 least = lower.s456789ab, most = higher.s456789ab;
-    const float4 low = least.lo < least.hi ? least.lo : least.hi, high = most.lo < most.hi ? most.hi : most.lo;
-    if (per_range != NOT_STEEPER) {
-        const float8 ends_low = lower.s0123cdef, ends_high = higher.s0123cdef;
-        const float8 rows_low = a < d ? a : d, rows_high = a < d ? d : a;
-        const float8 outer_low = rows_low < ends_low ? rows_low : ends_low,
-                     outer_high = rows_high < ends_high ? ends_high : rows_high;
-        const float4 all_low = outer_low.lo < outer_low.hi ? outer_low.lo : outer_low.hi,
-                     all_high = outer_high.lo < outer_high.hi ? outer_high.hi : outer_high.lo;
-        sum = steepened(sum, (float4)(steeper), per_range, all_low < low ? all_low : low,
-                        all_high < high ? high : all_high);
-    }
-    const float4 raised = sum < low ? low : sum;
-    return high < raised ? high : raised;
-}
+INLINE float component_of(const float4 w, const int k) { return k == 0 ? w.x : k == 1 ? w.y : k == 2 ? w.z : w.w; }
 
 /* The same of the taps from index `first` on. */
 INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image,
                     const float steeper, const float per_range) {
-    return cubic_of_rows(load_two_texels(first + 1, image), load_four_texels(first + width, image),
-                         load_four_texels(first + 2 * width, image), load_two_texels(first + 3 * width + 1, image), wx,
-                         wy, steeper, per_range)
-        .xyz;
+    const float4 rows[4] = {(float4)(wy.x), (float4)(wy.y), (float4)(wy.z), (float4)(wy.w)};
+    CubicSums s;
+#pragma unroll
+    for (int tx = 0; tx < 4; ++tx) {
+        const float4 b = load_texel(first + width + tx, image), c = load_texel(first + 2 * width + tx, image);
+        const bool inner = tx == 1 || tx == 2;
+        const float4 a = inner ? load_texel(first + tx, image) : b,
+                     d = inner ? load_texel(first + 3 * width + tx, image) : c;
+        add_column(tx, a, b, c, d, (float4)(component_of(wx, tx)), rows, &s);
+    }
+    return sums_up(s, (float4)(steeper), per_range).xyz;
 }
 
 #if LANES == 8
 
-DEFINE_STEEPENED(float16, steepened_four)
+DEFINE_CUBIC(float16, FourCubicSums, add_four_columns, sum_up_four)
 
 /* Weights of four pixels, each for the four channels of its texel. */
 #define SPREAD(w) ((w).s0000111122223333)
@@ -88,30 +100,17 @@ DEFINE_STEEPENED(float16, steepened_four)
 /* cubic of four pixels in a row whose taps lie in a row, from index `first` on. */
 INLINE float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
                             __global const half *image, const float4 steeper, const float per_range) {
-    float16 total, low, high, outer_low, outer_high;
+    const float16 rows[4] = {SPREAD(wy[0]), SPREAD(wy[1]), SPREAD(wy[2]), SPREAD(wy[3])};
+    FourCubicSums s;
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
         __global const half *p = image + 4 * (first + tx);
         const float16 b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width);
-        const float16 lower = b < c ? b : c, higher = b < c ? c : b;
-        float16 column = SPREAD(wy[1]) * b + SPREAD(wy[2]) * c, ends_low = lower, ends_high = higher;
-        if (tx == 1 || tx == 2) {
-            const float16 a = vload_half16(0, p), d = vload_half16(0, p + 12 * width);
-            column += SPREAD(wy[0]) * a + SPREAD(wy[3]) * d;
-            low = tx == 1 ? lower : low < lower ? low : lower;
-            high = tx == 1 ? higher : high < higher ? higher : high;
-            ends_low = a < d ? a : d;
-            ends_high = a < d ? d : a;
-        }
-        outer_low = tx == 0 ? ends_low : outer_low < ends_low ? outer_low : ends_low;
-        outer_high = tx == 0 ? ends_high : outer_high < ends_high ? ends_high : outer_high;
-        total = tx == 0 ? SPREAD(wx[0]) * column : total + SPREAD(wx[tx]) * column;
+        const bool inner = tx == 1 || tx == 2;
+        const float16 a = inner ? vload_half16(0, p) : b, d = inner ? vload_half16(0, p + 12 * width) : c;
+        add_four_columns(tx, a, b, c, d, SPREAD(wx[tx]), rows, &s);
     }
-    if (per_range != NOT_STEEPER)
-        total = steepened_four(total, SPREAD(steeper), per_range, outer_low < low ? outer_low : low,
-                               outer_high < high ? high : outer_high);
-    const float16 raised = total < low ? low : total;
-    return high < raised ? high : raised;
+    return sum_up_four(s, SPREAD(steeper), per_range);
 }
 
 #endif

@@ -74,7 +74,7 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
                             .codes = codes,
                             .dynamic_mask = dynamic_mask,
                             .code_offset = frame->code_offset,
-                            .sharpening = sharpening(*sharpness, frame->code_offset)};
+                            .sharpening = sharpening_of(*sharpness, frame)};
     const Uints word = load_some_winners(count, keys, winners, dst);
     const Ints reached = word != NOBODY;
     Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);

@@ -10,20 +10,14 @@
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
 #define SAMPLES_EACH 2 /* rows of samples of a work-item, which takes as many columns */
 #define SAME_SHAPE 0.2f /* relative range of depths of one surface around a sample */
-#define OTHER_COLOR 0.2f /* difference of codes, white being 1, that is no matter of sharpness */
 #define KEPT 0.75f /* of the evidence of the frame before */
 #define LEAST_EVIDENCE 0.02f /* with as much evidence, half of the sharpness found counts */
 #define SHARPEST 2.0f
-#define UNIT 262144.0f /* of sums in integers, which depend on no order */
+#define UNIT 65536.0f /* of sums in integers, which depend on no order */
 
 /* Sums, over the samples, of products: what a sharpness of 1 changes, times the difference that is to be explained, and
    times itself. Of `pending` also the number of work-groups that have added theirs. */
 enum { EXPLAINED, CHANGED, ADDED };
-
-/* The codes of two pixels of a color image. */
-INLINE float8 two_codes(__global const half *color, const int i, const float offset) {
-    return (float8)(load_code(color, i, offset), 0.0f, load_code(color, i + 1, offset), 0.0f);
-}
 
 /* Adds a sample at (x, y), white being 1: `sums` by EXPLAINED and CHANGED. */
 INLINE void compare(const int x, const int y, __constant Frame *frame, __global const half *color,
@@ -40,22 +34,25 @@ INLINE void compare(const int x, const int y, __constant Frame *frame, __global 
         if (!is_same_surface(met, px.z, SAME_SHAPE * px.z)) return;
     }
     const float u = px.x - 0.5f - (float)left, v = px.y - 0.5f - (float)top;
-    const float8 a = two_codes(color_prev, first + 1, offset), d = two_codes(color_prev, first + 3 * width + 1, offset);
-    const float16 b = (float16)(two_codes(color_prev, first + width, offset),
-                                two_codes(color_prev, first + width + 2, offset)),
-                  c = (float16)(two_codes(color_prev, first + 2 * width, offset),
-                                two_codes(color_prev, first + 2 * width + 2, offset));
-    float3 made[2];
-    for (int k = 0; k < 2; ++k) {
-        const Sharpening s = sharpening((float)k, offset);
-        const float4 wx = cubic_weights(u, s.slope), wy = cubic_weights(v, s.slope);
-        made[k] =
-            cubic_of_rows(a, b, c, d, without_corners(wx, wy), wy, s.steeper * MIDWAY(u, v), s.per_range).xyz;
+    const Sharpening sharp[2] = {sharpening(0.0f, offset), sharpening(1.0f, offset)};
+    CubicSums made[2];
+    for (int tx = 0; tx < 4; ++tx) {
+        float4 taps[4];
+        for (int ty = 0; ty < 4; ++ty)
+            taps[ty] = (float4)(load_code(color_prev, first + ty * width + tx, offset), 0.0f);
+        for (int k = 0; k < 2; ++k) {
+            const float4 wx = cubic_weights(u, sharp[k].slope), wy = cubic_weights(v, sharp[k].slope);
+            const float4 rows[4] = {(float4)(wy.x), (float4)(wy.y), (float4)(wy.z), (float4)(wy.w)};
+            add_column(tx, taps[0], taps[1], taps[2], taps[3],
+                       (float4)(component_of(without_corners(wx, wy), tx)), rows, made + k);
+        }
     }
-    const float per_white = sharpening(0.0f, offset).per_range * FULL_RANGE;
-    const float3 off = (fmin(load_code(color, src, offset) * per_white, 1.0f) - fmin(made[0] * per_white, 1.0f)),
-                 change = (made[1] - made[0]) * per_white;
-    if (fmax(fabs(off.x), fmax(fabs(off.y), fabs(off.z))) > OTHER_COLOR) return;
+    float3 codes[2];
+    for (int k = 0; k < 2; ++k)
+        codes[k] = sums_up(made[k], (float4)(sharp[k].steeper * MIDWAY(u, v)), sharp[k].per_range).xyz;
+    const float per_white = sharp[0].per_range * FULL_RANGE;
+    const float3 now = load_code(color, src, offset) * per_white;
+    const float3 off = fmin(now, 1.0f) - fmin(codes[0] * per_white, 1.0f), change = (codes[1] - codes[0]) * per_white;
     sums[EXPLAINED] += off.x * change.x + off.y * change.y + off.z * change.z;
     sums[CHANGED] += change.x * change.x + change.y * change.y + change.z * change.z;
 }

@@ -73,33 +73,20 @@ INLINE float8 two_texels(__global const half *image, const int x, const int y, c
 /* Cubic of the 4x4 taps from (x, y) on, but for the corners, which weigh little; clamped to the four inner ones. */
 INLINE float4 clamped_cubic(const int x, const int y, const float4 wx, const float4 wy, const int width,
                             const int height, __global const half *image) {
-#if LANES == 8
-    const float8 above = two_texels(image, x + 1, y, width, height),
-                 below = two_texels(image, x + 1, y + 3, width, height);
-    const float16 b = four_texels(image, x, y + 1, width, height), c = four_texels(image, x, y + 2, width, height);
-    return cubic_of_rows(above, b, c, below, wx, wy, 0.0f, NOT_STEEPER);
-#else  /* a column at a time: all of them at once take 48 registers */
-    const int row_b = clamp(y + 1, 0, height - 1) * width, row_c = clamp(y + 2, 0, height - 1) * width;
-    float4 sum = (float4)(0.0f), low = sum, high = sum;
+    const int rows[4] = {clamp(y, 0, height - 1) * width, clamp(y + 1, 0, height - 1) * width,
+                         clamp(y + 2, 0, height - 1) * width, clamp(y + 3, 0, height - 1) * width};
+    const float4 row_weights[4] = {(float4)(wy.x), (float4)(wy.y), (float4)(wy.z), (float4)(wy.w)};
+    CubicSums s;
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
-        const int column_x = clamp(x + tx, 0, width - 1);
-        const float4 b = load_texel(row_b + column_x, image), c = load_texel(row_c + column_x, image);
-        float4 column = wy.y * b + wy.z * c;
-        if (tx == 1 || tx == 2) {
-            const float4 above = load_texel(clamp(y, 0, height - 1) * width + column_x, image);
-            const float4 below = load_texel(clamp(y + 3, 0, height - 1) * width + column_x, image);
-            column += wy.x * above + wy.w * below;
-            const float4 lower = b < c ? b : c, higher = b < c ? c : b;
-            low = tx == 1 ? lower : low < lower ? low : lower;
-            high = tx == 1 ? higher : high < higher ? higher : high;
-        }
-        const float weight = tx == 0 ? wx.x : tx == 1 ? wx.y : tx == 2 ? wx.z : wx.w;
-        sum = tx == 0 ? weight * column : sum + weight * column;
+        const int column = clamp(x + tx, 0, width - 1);
+        const float4 b = load_texel(rows[1] + column, image), c = load_texel(rows[2] + column, image);
+        const bool inner = tx == 1 || tx == 2;
+        const float4 a = inner ? load_texel(rows[0] + column, image) : b,
+                     d = inner ? load_texel(rows[3] + column, image) : c;
+        add_column(tx, a, b, c, d, (float4)(component_of(wx, tx)), row_weights, &s);
     }
-    const float4 raised = sum < low ? low : sum;
-    return high < raised ? high : raised;
-#endif
+    return sums_up(s, (float4)(0.0f), NOT_STEEPER);
 }
 
 /* The image at LANES places of the lanes in `use` (others: 0), cubic without corners, clamped to the four inner

@@ -413,7 +413,7 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             .codes = codes,
                             .dynamic_mask = dynamic_mask,
                             .code_offset = frame->code_offset,
-                            .sharpening = sharpening(*sharpness, frame->code_offset)};
+                            .sharpening = sharpening_of(*sharpness, frame)};
     const Winners winning = {keys, winners};
     const NewFrame to = {.color = out_color,
                          .depth = out_depth,

@@ -1,0 +1,42 @@
+"""Twin of sharpness.cl."""
+
+import numpy as np
+
+from twins.common import F, invalid, kernel_constants, reproject, white
+from twins.warp import cubic_of, load_code
+
+SHARPNESS = kernel_constants("sharpness.cl")
+
+
+def compare(color, depth, dynamic, color_prev, depth_prev, to_previous):
+    """Return the sums (explained, changed) over the samples of a rendered frame."""
+    height, width = depth.shape
+    each = SHARPNESS.SAMPLES_EACH
+    columns, rows = (min(n, each * most) for n, most in ((width, SHARPNESS.SAMPLES_X), (height, SHARPNESS.SAMPLES_Y)))
+    y, x = (
+        n.ravel()
+        for n in np.meshgrid(
+            (2 * np.arange(rows) + 1) * height // (2 * rows), (2 * np.arange(columns) + 1) * width // (2 * columns),
+            indexing="ij",
+        )
+    )  # fmt: skip
+    z = depth[y, x]
+    use = ~invalid(z) & ~np.isinf(z) & (dynamic[y, x] == SHARPNESS.STATIC)
+    px = reproject(np.stack([x, y], -1).astype(F) + F(0.5), np.where(use, z, F(1)), to_previous)
+    first = np.floor(px[:, :2] - F(0.5))
+    u, v = np.moveaxis(px[:, :2] - F(0.5) - first, -1, 0)
+    left, top = np.moveaxis(first.astype(int), -1, 0)
+    use &= (px[:, 2] > 0) & (left >= 1) & (top >= 1) & (left < width - 2) & (top < height - 2)
+    x, y, left, top, u, v, met = (a[use] for a in (x, y, left, top, u, v, px[:, 2]))
+    same = np.ones(len(x), bool)
+    with np.errstate(invalid="ignore"):
+        for k in range(4):
+            there = depth_prev[top + (k >> 1), left + (k & 1)]
+            same &= np.abs(there - met) <= SHARPNESS.SAME_SHAPE * met
+    x, y, left, top, u, v = (a[same] for a in (x, y, left, top, u, v))
+    before = load_code(color_prev)
+    taps = {(ty, tx): before[top + ty - 1, left + tx - 1] for ty in range(4) for tx in range(4)}
+    plain, sharp = (cubic_of(taps, u, v, F(k)) / white() for k in (0, 1))
+    now = load_code(color)[y, x] / white()
+    off, change = np.minimum(now, F(1)) - np.minimum(plain, F(1)), sharp - plain
+    return float((off * change).sum()), float((change * change).sum())
