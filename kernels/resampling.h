@@ -131,11 +131,12 @@ INLINE Ints resample_halves(const Samples s, const Ints use, const int source_wi
                  left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
     const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi},
                  right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
-    const bool left = all(whole.lo & (in_row.lo == lane_tap[0]))
-                      && resample_four(lane_tap[0], exact.lo, left_x, left_y, steeper.lo, source_width, shown, out_color + 4 * dst);
-    const bool right =
-        all(whole.hi & (in_row.hi == lane_tap[4] - 4))
-        && resample_four(lane_tap[4], exact.hi, right_x, right_y, steeper.hi, source_width, shown, out_color + 4 * (dst + 4));
+    const bool left =
+        all(whole.lo & (in_row.lo == lane_tap[0]))
+        && resample_four(lane_tap[0], exact.lo, left_x, left_y, steeper.lo, source_width, shown, out_color + 4 * dst);
+    const bool right = all(whole.hi & (in_row.hi == lane_tap[4] - 4))
+                       && resample_four(lane_tap[4], exact.hi, right_x, right_y, steeper.hi, source_width, shown,
+                                        out_color + 4 * (dst + 4));
     return use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
 }
 #else

@@ -1,6 +1,6 @@
 /* Sharpness of the rendered frames' edges, as their own pixels show it. Renderers filter pixels differently: edges that
    a pixel's area has softened are steeper between pixels than interpolation makes them; aliased ones, wide filters and
-   noise are not. So the frame before is resampled at a lattice of static samples, and the part of the difference to
+   noise are not. So the frame before is resampled at a lattice of samples, and the part of the difference to
    this frame that more sharpness explains is what the new frame is resampled with (resampling.h). */
 
 #include "frame.h"
@@ -12,6 +12,7 @@
 #define SAME_SHAPE 0.2f /* relative range of depths of one surface around a sample */
 #define KEPT 0.75f /* of the evidence of the frame before */
 #define LEAST_EVIDENCE 0.02f /* with as much evidence, half of the sharpness found counts */
+#define DOUBT 0.1f /* of the sharpness found, by which it may be too much */
 #define SHARPEST 2.0f
 #define UNIT 65536.0f /* of sums in integers, which depend on no order */
 
@@ -21,14 +22,16 @@ enum { EXPLAINED, CHANGED, ADDED };
 
 /* Adds a sample at (x, y), white being 1: `sums` by EXPLAINED and CHANGED. */
 INLINE void compare(const int x, const int y, __constant Frame *frame, __global const half *color,
-                    __global const float *depth, __global const uchar *dynamic_mask, __global const half *color_prev,
-                    __global const float *depth_prev, float *sums) {
+                    __global const float *depth, __global const float2 *motion, __global const uchar *dynamic_mask,
+                    __global const half *color_prev, __global const float *depth_prev, float *sums) {
     const int width = frame->source_width, height = frame->source_height, src = y * width + x;
     const float offset = frame->code_offset, z = depth[src];
-    if (INVALID_DEPTH(z) || isinf(z) || dynamic_mask[src] != STATIC) return;
-    const float3 px = reproject(pixel_center(x, y), z, frame->to_previous);
+    if (INVALID_DEPTH(z) || isinf(z)) return;
+    const float3 px = dynamic_mask[src] == STATIC ? reproject(pixel_center(x, y), z, frame->to_previous)
+                                                  : (float3)(pixel_center(x, y) + motion[src], z);
+    if (!(px.z > 0.0f && holds(width, height, px.xy))) return;
     const int left = (int)floor(px.x - 0.5f), top = (int)floor(px.y - 0.5f), first = (top - 1) * width + left - 1;
-    if (!(px.z > 0.0f && left >= 1 && top >= 1 && left < width - 2 && top < height - 2)) return;
+    if (!(left >= 1 && top >= 1 && left < width - 2 && top < height - 2)) return;
     for (int k = 0; k < 4; ++k) {
         const float met = depth_prev[(top + (k >> 1)) * width + left + (k & 1)];
         if (!is_same_surface(met, px.z, SAME_SHAPE * px.z)) return;
@@ -43,8 +46,8 @@ INLINE void compare(const int x, const int y, __constant Frame *frame, __global 
         for (int k = 0; k < 2; ++k) {
             const float4 wx = cubic_weights(u, sharp[k].slope), wy = cubic_weights(v, sharp[k].slope);
             const float4 rows[4] = {(float4)(wy.x), (float4)(wy.y), (float4)(wy.z), (float4)(wy.w)};
-            add_column(tx, taps[0], taps[1], taps[2], taps[3],
-                       (float4)(component_of(without_corners(wx, wy), tx)), rows, made + k);
+            add_column(tx, taps[0], taps[1], taps[2], taps[3], (float4)(component_of(without_corners(wx, wy), tx)),
+                       rows, made + k);
         }
     }
     float3 codes[2];
@@ -60,8 +63,9 @@ INLINE void compare(const int x, const int y, __constant Frame *frame, __global 
 /* A row of samples per work-group, SAMPLES_EACH each way per work-item. The last group finds the sharpness. */
 __kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1))) void
 measure_sharpness(__constant Frame *restrict frame, __global const half *color, __global const float *depth,
-                  __global const uchar *dynamic_mask, __global const half *color_prev, __global const float *depth_prev,
-                  __global int *pending, __global float *evidence, __global float *sharpness) {
+                  __global const float2 *motion, __global const uchar *dynamic_mask, __global const half *color_prev,
+                  __global const float *depth_prev, __global int *pending, __global float *evidence,
+                  __global float *sharpness) {
     const int width = frame->source_width, height = frame->source_height, item = get_local_id(0);
     const int columns = min(width, SAMPLES_EACH * SAMPLES_X), groups = min(height, SAMPLES_Y),
               rows = min(height, SAMPLES_EACH * groups);
@@ -76,7 +80,7 @@ measure_sharpness(__constant Frame *restrict frame, __global const half *color, 
     for (int row = get_global_id(1); row < rows; row += groups)
         for (int column = item; column < columns; column += SAMPLES_X)
             compare((2 * column + 1) * width / (2 * columns), (2 * row + 1) * height / (2 * rows), frame, color, depth,
-                    dynamic_mask, color_prev, depth_prev, sums);
+                    motion, dynamic_mask, color_prev, depth_prev, sums);
     for (int k = 0; k < 2; ++k) atomic_add(of_group + k, (int)floor(UNIT * sums[k] + 0.5f));
     barrier(CLK_LOCAL_MEM_FENCE);
     if (item) return;
@@ -92,5 +96,5 @@ measure_sharpness(__constant Frame *restrict frame, __global const half *color, 
                 all_changed = KEPT * evidence[CHANGED] + new_changed;
     evidence[EXPLAINED] = all_explained;
     evidence[CHANGED] = all_changed;
-    *sharpness = clamp(divide(all_explained, all_changed + LEAST_EVIDENCE), 0.0f, SHARPEST);
+    *sharpness = clamp(divide(all_explained, all_changed + LEAST_EVIDENCE) - DOUBT, 0.0f, SHARPEST);
 }

@@ -118,7 +118,9 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                                   k ? wx[3].hi : wx[3].lo};
         const float4 four_y[4] = {k ? wy[0].hi : wy[0].lo, k ? wy[1].hi : wy[1].lo, k ? wy[2].hi : wy[2].lo,
                                   k ? wy[3].hi : wy[3].lo};
-        unload_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image, (float4)(0.0f), NOT_STEEPER), k, texels);
+        unload_texels(cubic_of_run(lane_y[4 * k] * width + lane_x[4 * k], four_x, four_y, width, image, (float4)(0.0f),
+                                   NOT_STEEPER),
+                      k, texels);
         if (k)
             rest.hi = (int4)(0);
         else

@@ -395,9 +395,9 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global const half *color, __global const half *codes, __global const float *depth,
                             __global const uchar *dynamic_mask, __global const uchar *links,
                             __global const float *target_position, __global const float *sharpness,
-                            __global half *out_color, __global float *out_depth,
-                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
-                            __global uchar *filled_by, __global uchar *mixed, __global uint *open) {
+                            __global half *out_color, __global float *out_depth, __global float2 *out_motion,
+                            __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
+                            __global uchar *mixed, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments from = {.depth = depth,

@@ -11,7 +11,7 @@ _SUMS = ("explained", "changed")
 
 
 class Sharpness(Stage):
-    """Resamples the frame before at a lattice of static samples, and measures how much sharper than Catmull-Rom's cubic
+    """Resamples the frame before at a lattice of samples, and measures how much sharper than Catmull-Rom's cubic
     it has to be to show this frame's colors. Warps resample the rendered frame as sharply."""
 
     name = "sharpness"
@@ -34,6 +34,7 @@ class Sharpness(Stage):
             {
                 "color": "rendered.color",
                 "depth": "rendered.depth",
+                "motion": "rendered.motion",
                 "dynamic_mask": "history.dynamic_mask",
                 "color_prev": "previous.color",
                 "depth_prev": "previous.depth",

@@ -2,7 +2,6 @@
 
 import numpy as np
 import pytest
-from synthetic import Rect, Rects, camera
 from twin_cases import frames
 from twins.sharpness import SHARPNESS, compare
 
@@ -21,12 +20,12 @@ def test_kernel_equals_its_twin(device, size):
         if past is not None:
             dynamic = pipeline.stages["history"].read("dynamic_mask")
             to_previous = reprojection(now.camera, past.camera)
-            sums = compare(now.color, now.depth, dynamic, past.color, past.depth, to_previous)
+            sums = compare(now.color, now.depth, now.motion, dynamic, past.color, past.depth, to_previous)
             expected = SHARPNESS.KEPT * expected + sums
         past = now
     found = stage.read("evidence").ravel()
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
-    share = np.clip(found[0] / (found[1] + SHARPNESS.LEAST_EVIDENCE), 0, SHARPNESS.SHARPEST)
+    share = np.clip(found[0] / (found[1] + SHARPNESS.LEAST_EVIDENCE) - SHARPNESS.DOUBT, 0, SHARPNESS.SHARPEST)
     assert found[1] > 0 and stage.read("sharpness").item() == pytest.approx(share, rel=1e-5)
     pipeline.submit(next(frames(*size)))
     assert not stage.read("evidence").any() and stage.read("sharpness").item() == 0

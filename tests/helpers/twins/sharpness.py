@@ -8,7 +8,7 @@ from twins.warp import cubic_of, load_code
 SHARPNESS = kernel_constants("sharpness.cl")
 
 
-def compare(color, depth, dynamic, color_prev, depth_prev, to_previous):
+def compare(color, depth, motion, dynamic, color_prev, depth_prev, to_previous):
     """Return the sums (explained, changed) over the samples of a rendered frame."""
     height, width = depth.shape
     each = SHARPNESS.SAMPLES_EACH
@@ -21,12 +21,18 @@ def compare(color, depth, dynamic, color_prev, depth_prev, to_previous):
         )
     )  # fmt: skip
     z = depth[y, x]
-    use = ~invalid(z) & ~np.isinf(z) & (dynamic[y, x] == SHARPNESS.STATIC)
-    px = reproject(np.stack([x, y], -1).astype(F) + F(0.5), np.where(use, z, F(1)), to_previous)
+    use = ~invalid(z) & ~np.isinf(z)
+    center = np.stack([x, y], -1).astype(F) + F(0.5)
+    static = reproject(center, np.where(use, z, F(1)), to_previous)
+    moved = np.concatenate([center + motion[y, x], z[:, None]], -1)
+    px = np.where((dynamic[y, x] == SHARPNESS.STATIC)[:, None], static, moved)
+    with np.errstate(invalid="ignore"):
+        use &= (px[:, 2] > 0) & ((px[:, :2] >= 0) & (px[:, :2] < (width, height))).all(-1)
+    px = np.where(use[:, None], px, F(0))
     first = np.floor(px[:, :2] - F(0.5))
     u, v = np.moveaxis(px[:, :2] - F(0.5) - first, -1, 0)
     left, top = np.moveaxis(first.astype(int), -1, 0)
-    use &= (px[:, 2] > 0) & (left >= 1) & (top >= 1) & (left < width - 2) & (top < height - 2)
+    use &= (left >= 1) & (top >= 1) & (left < width - 2) & (top < height - 2)
     x, y, left, top, u, v, met = (a[use] for a in (x, y, left, top, u, v, px[:, 2]))
     same = np.ones(len(x), bool)
     with np.errstate(invalid="ignore"):
