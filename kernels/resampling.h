@@ -8,8 +8,8 @@
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
 #define SHARPER_SLOPE 0.12f /* by how much the cubic's slope grows for a sharpness of 1 */
 #define STEEPER 0.2f /* by how much an edge is steepened for a sharpness of 1, midway between pixels */
-#define AT_ONCE 2.0f /* times the measured sharpness at alpha = 0, ... */
-#define LATER 1.2f /* ... and less by this at 1: places are less certain */
+#define SHARP_AT_ONCE 2.0f /* times the measured sharpness at alpha = 0, ... */
+#define LESS_SHARP_LATER 1.2f /* ... and less by this at 1: places are less certain */
 #define FULL_RANGE 0.4f /* of colors, white being 1, between which edges are steepened in full */
 
 /* How much sharper than Catmull-Rom's is interpolation. */
@@ -29,7 +29,7 @@ INLINE Sharpening sharpening(const float sharpness, const float code_offset) {
 
 /* Of a new frame after rendered ones of that sharpness (sharpness.cl). */
 INLINE Sharpening sharpening_of(const float measured, __constant Frame *frame) {
-    return sharpening(measured * fmax(AT_ONCE - LATER * frame->alpha, 0.0f), frame->code_offset);
+    return sharpening(measured * fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f), frame->code_offset);
 }
 
 /* 1 midway between pixels, 0 at their centers. */

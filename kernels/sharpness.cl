@@ -10,7 +10,7 @@
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
 #define SAMPLES_EACH 2 /* rows of samples of a work-item, which takes as many columns */
 #define SAME_SHAPE 0.2f /* relative range of depths of one surface around a sample */
-#define KEPT 0.75f /* of the evidence of the frame before */
+#define EVIDENCE_KEPT 0.75f /* of the evidence of the frame before */
 #define LEAST_EVIDENCE 0.02f /* with as much evidence, half of the sharpness found counts */
 #define DOUBT 0.1f /* of the sharpness found, by which it may be too much */
 #define SHARPEST 2.0f
@@ -92,8 +92,8 @@ measure_sharpness(__constant Frame *restrict frame, __global const half *color, 
                 new_changed = (float)atomic_xchg(pending + CHANGED, 0) * (1.0f / UNIT);
     atomic_xchg(pending + ADDED, 0);
     if (!(new_changed > 0.0f)) return; /* nothing moved */
-    const float all_explained = KEPT * evidence[EXPLAINED] + new_explained,
-                all_changed = KEPT * evidence[CHANGED] + new_changed;
+    const float all_explained = EVIDENCE_KEPT * evidence[EXPLAINED] + new_explained,
+                all_changed = EVIDENCE_KEPT * evidence[CHANGED] + new_changed;
     evidence[EXPLAINED] = all_explained;
     evidence[CHANGED] = all_changed;
     *sharpness = clamp(divide(all_explained, all_changed + LEAST_EVIDENCE) - DOUBT, 0.0f, SHARPEST);

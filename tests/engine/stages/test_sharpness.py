@@ -21,7 +21,7 @@ def test_kernel_equals_its_twin(device, size):
             dynamic = pipeline.stages["history"].read("dynamic_mask")
             to_previous = reprojection(now.camera, past.camera)
             sums = compare(now.color, now.depth, now.motion, dynamic, past.color, past.depth, to_previous)
-            expected = SHARPNESS.KEPT * expected + sums
+            expected = SHARPNESS.EVIDENCE_KEPT * expected + sums
         past = now
     found = stage.read("evidence").ravel()
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)

@@ -259,7 +259,7 @@ def cubic_weights(t, slope):
 
 def later(sharpness, alpha):
     """Return the sharpness of a new frame at `alpha`, after frames of that `sharpness`."""
-    return F(sharpness) * np.maximum(WARP.AT_ONCE - WARP.LATER * F(alpha), F(0))
+    return F(sharpness) * np.maximum(WARP.SHARP_AT_ONCE - WARP.LESS_SHARP_LATER * F(alpha), F(0))
 
 
 def cubic_of(taps, u, v, sharpness):
