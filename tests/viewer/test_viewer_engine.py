@@ -32,7 +32,7 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.lab.metrics import focus_mask
 from gffe_cl.viewer.engine.engine import Engine, open_viewer_device
-from gffe_cl.viewer.engine.messages import Failure, Frame, Setup
+from gffe_cl.viewer.engine.messages import Failure, Frame, Interrupted, Setup
 from gffe_cl.viewer.engine.sources.live import SceneSource
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.sources.source import FrameSource
@@ -473,20 +473,23 @@ def test_a_network_that_fails_is_an_error_and_the_engine_goes_on(device, tmp_pat
 # ---- requests and answers ----------------------------------------------------------------------------------
 
 
-def test_the_most_urgent_want_is_made_first_whatever_was_asked_before(device):
+@pytest.mark.parametrize("slot", [5, 3])  # of a frame to come, and of the one that was submitted last
+def test_the_most_urgent_want_is_made_first_whatever_was_asked_before(device, slot):
     with running(device, source := Clip()) as engine:
         store, later = engine.store, [want(engine, slot, Setup()) for slot in (8, 12)]
         ask(engine, 0, Setup())
         source.gate.clear()
         store.want(later)
         wait_for(lambda: 1 in source.asked)
-        urgent = want(engine, 5, Setup())
+        urgent = want(engine, slot, Setup())
         store.want([urgent, *later])
         source.gate.set()
         made = wait_for(lambda: store.get(urgent))
-        assert made.slot == 5 and source.asked[:3] == [0, 1, 2], "slot 8 was given up at once"
+        assert made.slot == slot and source.asked[:2] == [0, 1], "slot 8 was given up at once"
         wait_for(lambda: all(store.get(one) for one in later))
         assert store.next() is None and store.get(urgent) is made, "nothing is made twice"
+        ask(engine, 0, Setup())
+        assert ask(engine, slot, Setup()).moment == made.moment
 
 
 def test_a_want_that_is_gone_is_given_up(device):
@@ -499,6 +502,19 @@ def test_a_want_that_is_gone_is_given_up(device):
         source.gate.set()
         assert isinstance(ask(engine, 2, Setup()), Frame)
         assert source.asked in ([0, 1], [0, 0, 1]) and engine.store.get(gone) is None
+
+
+def test_a_maker_that_was_interrupted_holds_nothing(device):
+    def interrupt():
+        raise Interrupted
+
+    with running(device, Clip()) as engine:
+        ask(engine, 2, Setup())
+        maker, key = engine._makers[0], want(engine, 8, Setup()).key
+        maker.check = interrupt
+        with pytest.raises(Interrupted):
+            maker.make(key, frozenset())
+        assert maker.key == key and not maker.holds(key)
 
 
 def test_a_slot_on_screen_is_left_alone_by_what_is_wanted_later(device):

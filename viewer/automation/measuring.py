@@ -58,7 +58,8 @@ class _Stopwatch:
         self.first: _Pass | None = None
         self.cached: _Pass | None = None
         self.idle: dict[str, float] = {}
-        self._rest: tuple[float, float, int] | None = None  # its start, processor time and frames of the interface
+        # Its start, and from then on processor time and frames of the interface.
+        self._rest: tuple[float, float | None, int] | None = None
         self._until = time.perf_counter() + PATIENCE
 
     def __call__(self, app: App) -> None:
@@ -93,14 +94,16 @@ class _Stopwatch:
 
     def _begin_rest(self, app: App, now: float) -> None:
         app.may_idle = True
-        self._rest = now + _COMES_TO_REST, 0.0, 0
+        self._rest = now + _COMES_TO_REST, None, 0
 
     def _count_rest(self, app: App, now: float) -> None:
         """Measure the window at rest, then close it."""
         assert self._rest is not None
         start, processor, frames = self._rest
-        if now < start or app.model.busy or not app.model.source.is_checked:
-            self._rest = max(start, now), time.process_time(), 0
+        if now < start or app.at_work or not app.model.source.is_checked:
+            self._rest = max(start, now), None, 0
+        elif processor is None:  # only now, or the end of the last work would be counted
+            self._rest = now, time.process_time(), 0
         elif now - start < max(self.seconds, _LEAST_REST):
             self._rest = start, processor, frames + 1
         else:

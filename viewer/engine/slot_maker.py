@@ -101,6 +101,7 @@ class Seeker:
         """Submit the missing frames up to rendered frame `k`, with a new pipeline unless that is a little ahead.
         Unreadable frames other than `k` are left out; returns messages about them."""
         source, at = self.source, self._at
+        self.shot = None  # or an interruption would leave one of another slot
         if at is not None and math.isfinite(self.steps_to(k)) and not source.outdated(k, alpha):
             frames = range(max(at + 1, source.reset_before(k)), k + 1)
         else:
@@ -118,7 +119,7 @@ class Seeker:
                 notes.append(f"rendered frame {m} is left out: {error}")
                 self._restart()
         self.progress = len(frames), len(frames)
-        if frames:
+        if self._presented is None:  # even with nothing to submit: an interruption may have come first
             self._presented = self._running.present()
         return notes
 
@@ -189,7 +190,7 @@ class Seeker:
             assert on_device is not None  # as it was submitted
             color, depth, motion = on_device.buffers
             frame = replace(frame, color=color, depth=depth, motion=motion)
-        self._at, self._frame = m, frame
+        self._at, self._frame, self._presented = m, frame, None
         if pipeline.is_cut:
             self.cuts.add(m)
         self._before = before.camera if before and not (frame.reset or pipeline.is_cut) else None

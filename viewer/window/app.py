@@ -53,6 +53,7 @@ class App(Workspace):
         self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self._captures: list = []  # who wants the pixels of the window
         self.may_idle = True  # where nothing happens, frames are drawn seldom
+        self.at_work = True  # something is shown, made or measured
         commands.register(self)
         self.picture_frames = PictureFrames(self)
         self._told: tuple = (None, None)  # the inspector's pixel and rectangle
@@ -150,10 +151,10 @@ class App(Workspace):
         if told != self._told and told != (None, None) and self.docks.panel("Inspector").is_visible:
             self.docks.show("Inspector")
         self._told = told
-        at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
-        at_work |= model.survey.busy or model.studies.busy or not model.regions.ready or model.follows
+        self.at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
+        self.at_work |= model.survey.busy or model.studies.busy or not model.regions.ready or model.follows
         assert self._params is not None and self._params.fps_idling is not None  # it runs
-        self._params.fps_idling.enable_idling = self.may_idle and not at_work
+        self._params.fps_idling.enable_idling = self.may_idle and not self.at_work
 
     def _before_exit(self) -> None:
         import glfw
