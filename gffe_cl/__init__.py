@@ -41,6 +41,7 @@ _HOME = {
     "Options": "engine.options",
     "OPTIONS": "engine.options",
     "choose_options": "engine.timing.choice",
+    "Stepper": "engine.timing.stepping",
     "Pipeline": "engine.pipeline.pipeline",
     "PresentedFrame": "engine.pipeline.made_frame",
     "open_capture": "captures.formats",

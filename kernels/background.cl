@@ -155,7 +155,6 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
     }
 }
 
-#if LANES > 1
 /* Whether nothing can be offered of LANES fragments, which lie roughly here now: they land in one row, almost side
    by side, and three rows of texels, which hold all that they touch, are taken, by what is not nearer than their own
    surface, if there is a next level. */
@@ -168,9 +167,9 @@ INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
     const Floats x = now.x * scale, y = now.y * scale;
     const Ints cell_x = to_ints(x), cell_y = to_ints(y);
     const Ints sure = fmax(fabs(x - to_floats(cell_x) - 0.5f), fabs(y - to_floats(cell_y) - 0.5f)) < 0.5f - error;
-    const int first_x = cell_x.s0, first = cell_y.s0 * row + first_x;
+    const int first_x = FIRST_LANE(cell_x), cell = FIRST_LANE(cell_y), first = cell * row + first_x;
     if (first < row + edge || first + row + RUN > size
-        || !ALL(sure & (cell_y == cell_y.s0) & (cell_x > first_x - edge) & (cell_x < first_x + RUN - edge - 1)))
+        || !ALL(sure & (cell_y == cell) & (cell_x > first_x - edge) & (cell_x < first_x + RUN - edge - 1)))
         return false;
     __global const uchar *here = to.taken + first - edge;
     if (run_has(here, EMPTY) || run_has(here - row, EMPTY) || run_has(here + row, EMPTY)) return false;
@@ -180,7 +179,6 @@ INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
         is_run ? load_floats(0, to.level_depth + first) : gather_floats(to.level_depth, cell_x + (first - first_x));
     return !ANY(now.z * BEHIND > z);
 }
-#endif
 
 /* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own
    surface if there is a next level. Those are its own and, at most, three on the nearer sides of it. */
@@ -219,8 +217,7 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
     const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
     const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
     if (texel_x >= level_width || texel_y >= level_height) return;
-    if (frame->rests && last_level == 0 && frame->number - last_stir[block_of(texel_x, texel_y, source_width)] > 1)
-        return; /* all of them are shown, stay where they are, and the texels around are taken */
+    if (collects_nothing(block_of(texel_x, texel_y, source_width), frame, last_stir)) return;
     const int texel = texel_y * level_width + texel_x;
     const Collection to = {.width = source_width,
                            .height = source_height,
@@ -252,25 +249,17 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
         z = remembered ? load_some_floats(count, old_depth + texel) : z;
     }
 
-    /* Most only meet the surface that they are of; a rough position tells. */
-#if LANES > 1
-    if (only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) return;
-#endif
+    /* On CPUs: most only meet the surface that they are of; a rough position tells. */
+    if (LANES > 1 && only_meet_surfaces(wide_reproject_roughly(px_x, px_y, z, to_current), to)) return;
     const Wide3 now = wide_reproject(px_x, px_y, z, to_current);
     const Ints wanted = held & may_be_offered(now, to);
     if (!ANY(wanted)) return;
 
     /* The few that may be offered, one by one. */
-    float now_x[LANES], now_y[LANES], now_z[LANES];
-    int is_wanted[LANES], is_remembered[LANES];
-    store_floats(now.x, 0, now_x);
-    store_floats(now.y, 0, now_y);
-    store_floats(now.z, 0, now_z);
-    store_ints(wanted, 0, is_wanted);
-    store_ints(remembered, 0, is_remembered);
     for (int k = 0; k < LANES; ++k) {
-        const uint memory = is_remembered[k] ? FROM_MEMORY : 0u;
-        if (is_wanted[k]) offer_fragment((float3)(now_x[k], now_y[k], now_z[k]), (uint)(texel + k) | memory, to);
+        if (!int_of(&wanted, k)) continue;
+        const float3 place = (float3)(float_of(&now.x, k), float_of(&now.y, k), float_of(&now.z, k));
+        offer_fragment(place, (uint)(texel + k) | (int_of(&remembered, k) ? FROM_MEMORY : 0u), to);
     }
 }
 
@@ -300,83 +289,41 @@ INLINE void settle(const int x, const int y, __global Key *keys, __global uint *
     forget(keys, winners, texel);
 }
 
-/* Completes a level: its EMPTY texels. Not to `collect`, after a reset: all are EMPTY. */
-SCAN_FLAT __kernel void settle_level(__constant Frame *restrict frame, const int level, __global Key *fill_keys,
-                                     __global uint *fill_winners, __global const half *frame_color,
+/* Completes a level: its EMPTY texels, from the old one of the same level; or begins it, with the fragments that were
+   pushed down from the one above. After a reset nothing is collected: all are EMPTY. */
+SCAN_FLAT __kernel void settle_level(__constant Frame *restrict frame, const int level, const int from_level,
+                                     __global Key *keys, __global uint *winners, __global const half *frame_color,
                                      __global const float *frame_depth, __global const uint *old_color,
                                      __global const float *old_depth, __global const int *old_px,
                                      __global const uchar *old_state, __global uint *level_color,
                                      __global float *level_depth, __global int *level_px, __global uchar *level_state) {
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint count;
-    const int level_width = level_side(frame->source_width, level),
-              level_height = level_side(frame->source_height, level), texels = level_width * level_height;
+    const int level_width = level_side(frame->source_width, level);
+    const int texels = level_width * level_side(frame->source_height, level);
     const Texels old = {.color = old_color,
                         .frame_color = frame_color,
                         .depth = old_depth,
                         .frame_depth = frame_depth,
                         .px = old_px,
                         .state = old_state,
-                        .level = level,
-                        .width = level_width};
+                        .level = from_level,
+                        .width = level_side(frame->source_width, from_level)};
     const Level own = {.color = level_color,
                        .depth = level_depth,
                        .px = level_px,
                        .state = level_state,
                        .level = level,
                        .width = level_width};
-    if (!frame->has_previous) {
-        const int at = get_global_id(0) * SCAN_BYTES;
-        for (int texel = at; texel < min(at + SCAN_BYTES, texels); ++texel) level_state[texel] = EMPTY;
-        return;
-    }
+    const int at = get_global_id(0) * SCAN_BYTES, end = min(at + SCAN_BYTES, texels);
+    const bool begins = from_level != level || !frame->has_previous;
+    for (int texel = at; begins && texel < end; ++texel) level_state[texel] = EMPTY;
+    if (!frame->has_previous) return;
     const int first = scan_for(EMPTY, level_state, texels, found, &count);
     for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
         const int texel = first + found[i];
-        settle(texel % level_width, texel / level_width, fill_keys, fill_winners, old, frame->from_previous, own);
+        settle(texel % level_width, texel / level_width, keys, winners, old, frame->from_previous, own);
     }
-}
-
-/* Completes a level, and begins the next one with the fragments pushed down. */
-SCAN __kernel void settle_and_push(__constant Frame *restrict frame, const int level, __global Key *fill_keys,
-                                   __global uint *fill_winners, __global Key *push_keys, __global uint *push_winners,
-                                   __global const half *frame_color, __global const float *frame_depth,
-                                   __global const uint *old_color, __global const float *old_depth,
-                                   __global const int *old_px, __global const uchar *old_state,
-                                   __global uint *level_color, __global float *level_depth, __global int *level_px,
-                                   __global uchar *level_state, __global uint *next_color, __global float *next_depth,
-                                   __global int *next_px, __global uchar *next_state) {
-    const int level_width = level_side(frame->source_width, level),
-              level_height = level_side(frame->source_height, level);
-    const Reprojection to_current = frame->from_previous;
-    const int texel_x = get_global_id(0) * RUN, texel_y = get_global_id(1);
-    if (texel_x >= level_width || texel_y >= level_height) return;
-    const Texels old = {.color = old_color,
-                        .frame_color = frame_color,
-                        .depth = old_depth,
-                        .frame_depth = frame_depth,
-                        .px = old_px,
-                        .state = old_state,
-                        .level = level,
-                        .width = level_width};
-    const Level own = {.color = level_color,
-                       .depth = level_depth,
-                       .px = level_px,
-                       .state = level_state,
-                       .level = level,
-                       .width = level_width};
-    for (int x = texel_x; x < min(texel_x + RUN, level_width); ++x)
-        if (!frame->has_previous || level_state[texel_y * level_width + x] == EMPTY)
-            settle(x, texel_y, fill_keys, fill_winners, old, to_current, own);
-    if ((texel_x | texel_y) & 1) return;
-    const int next_width = (level_width + 1) / 2, end_x = min((texel_x + RUN + 1) / 2, next_width);
-    const Level next = {.color = next_color,
-                        .depth = next_depth,
-                        .px = next_px,
-                        .state = next_state,
-                        .level = level + 1,
-                        .width = next_width};
-    for (int x = texel_x / 2; x < end_x; ++x) settle(x, texel_y / 2, push_keys, push_winners, old, to_current, next);
 }
 
 /* ---- projection --------------------------------------------------------------------------------------------- */

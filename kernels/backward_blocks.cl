@@ -37,17 +37,12 @@ typedef struct {
 } Boxes;
 
 INLINE Box box_of(const Boxes boxes) {
-    float lanes[4][LANES];
-    store_floats(boxes.x0, 0, lanes[0]);
-    store_floats(boxes.y0, 0, lanes[1]);
-    store_floats(boxes.x1, 0, lanes[2]);
-    store_floats(boxes.y1, 0, lanes[3]);
-    Box box = {lanes[0][0], lanes[1][0], lanes[2][0], lanes[3][0]};
+    Box box = {FIRST_LANE(boxes.x0), FIRST_LANE(boxes.y0), FIRST_LANE(boxes.x1), FIRST_LANE(boxes.y1)};
     for (int k = 1; k < LANES; ++k) {
-        box.x0 = fmin(box.x0, lanes[0][k]);
-        box.y0 = fmin(box.y0, lanes[1][k]);
-        box.x1 = fmax(box.x1, lanes[2][k]);
-        box.y1 = fmax(box.y1, lanes[3][k]);
+        box.x0 = fmin(box.x0, float_of(&boxes.x0, k));
+        box.y0 = fmin(box.y0, float_of(&boxes.y0, k));
+        box.x1 = fmax(box.x1, float_of(&boxes.x1, k));
+        box.y1 = fmax(box.y1, float_of(&boxes.y1, k));
     }
     return box;
 }
@@ -172,19 +167,11 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
                               __global int *reached_by) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments fragments = {.depth = depth,
-                                 .target_position = target_position,
-                                 .links = links,
-                                 .width = source_width,
-                                 .height = source_height,
-                                 .plane = source_width * source_height,
-                                 .target_width = target_width,
-                                 .target_height = target_height,
-                                 .zoom = frame->zoom};
+    const Fragments fragments = fragments_of(frame, depth, target_position, links);
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width);
     if (bx >= source_blocks || by >= block_rows(source_height)) return;
-    if (frame->stays && last_stir[by * source_blocks + bx] != frame->number) {
+    if (stays_put(by * source_blocks + bx, frame, last_stir)) {
         smooth[by * source_blocks + bx] = RESTING;
         reach[by * source_blocks + bx] = (short4)(bx, by, bx, by);
         return;
@@ -210,9 +197,8 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
         for (int x = reached.x; x <= reached.z; ++x)
             for (int k = 0; k < 4; ++k) {
                 __global int *most = reached_by + 4 * (y * target_blocks + x) + k;
-#if LANES == 8 && LOOKS /* on CPUs a plain look costs less than an atomic, which most blocks then need not make */
-                if (*most >= extent[k]) continue;
-#endif
+                /* on CPUs a plain look costs less than an atomic, which most blocks then need not make */
+                if (LANES > 1 && LOOKS && *most >= extent[k]) continue;
                 atomic_max(most, extent[k]);
             }
 }

@@ -4,6 +4,7 @@
    a color is its own code. Above that color, w, the code continues as 3 w (c / w)^(1/4) - 2 w, with the same slope: a
    lamp that is displayed as white outweighs the pixels beside it no longer by all its brightness. */
 
+/* What set it: docs/deviations.md, "Colors are mixed as they are seen". */
 #define KNEE 3.0f /* with 3 the slope is continuous at w; less compresses more */
 
 /* For colors of type F with the square root `roots`. */

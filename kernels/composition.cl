@@ -2,9 +2,8 @@
    depth, the user interface. Layers are linear RGB, premultiplied: layer + (1 - A) * picture. A mapping is (scale x,
    scale y, offset x, offset y) from pixels of the display to pixels of the rendered image.
 
-   in   fixed_mask, effects, effects_motion   rendered image ui                                    display color
-   display   the picture without any of them out  out_color                             display depth, motion,
-   dynamic, disoccluded, filled_by of pixels that stay in place */
+   `fixed_mask`, `effects` and `effects_motion` have the size of the rendered image, the others that of the display.
+   `color` is the picture without any of them. Depth, motion and labels change where pixels stay in place. */
 
 #include "frame.h"
 

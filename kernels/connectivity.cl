@@ -3,7 +3,7 @@
    Where depth changes by little, or by much between two flat surfaces, links follow from it without a division. */
 
 #include "frame.h"
-#include "simd.h"
+#include "stencil.h"
 #include "nearest.h"
 #include "blocks.h"
 
@@ -32,22 +32,20 @@ typedef struct {
     __global const uchar *dynamic_mask;
 } Place;
 
-/* Depth of the pixels at an offset, NaN outside of the image. */
-INLINE Floats depth_beside(const Place p, const int dx, const int dy) {
-    if (p.inner) return load_floats(0, p.depth + (p.y + dy) * p.width + p.x + dx);
-    if (p.y + dy < 0 || p.y + dy >= p.height) return (Floats)(NAN);
-    const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
-    const Floats z = gather_floats(p.depth + (p.y + dy) * p.width, there);
-    return x == there ? z : (Floats)(NAN);
+INLINE Span span_of(const Place p) {
+    const Span s = {p.x, p.y, p.width, p.height, p.inner};
+    return s;
 }
 
-/* Whether they are dynamic, 0 outside. */
+/* Depth of the pixels at an offset, NaN outside of the image; and whether they are dynamic, 0 outside. */
+INLINE Floats depth_beside(const Place p, const int dx, const int dy) {
+    const Floats z = beside(span_of(p), p.depth, dx, dy);
+    return is_inside(span_of(p), dx, dy) ? z : (Floats)(NAN);
+}
+
 INLINE Ints dynamic_beside(const Place p, const int dx, const int dy) {
-    if (p.inner) return to_ints(load_bytes(0, p.dynamic_mask + (p.y + dy) * p.width + p.x + dx));
-    if (p.y + dy < 0 || p.y + dy >= p.height) return (Ints)(0);
-    const Ints x = p.x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(p.width - 1));
-    const Bytes dynamic = gather_bytes(p.dynamic_mask + (p.y + dy) * p.width, there);
-    return x == there ? to_ints(dynamic) : (Ints)(0);
+    const Ints dynamic = bytes_beside(span_of(p), p.dynamic_mask, dx, dy);
+    return is_inside(span_of(p), dx, dy) ? dynamic : (Ints)(0);
 }
 
 /* Gives which of them have nothing dynamic within GROW. */
@@ -243,12 +241,6 @@ INLINE void find(const Place p, const int collect, const bool single, __global u
     for (int k = 0; k < count; ++k) forget(to.fill_keys, to.fill_winners, i + k);
 }
 
-/* Whether a block's links, and the state of its texels, are what they were in the last two frames, in which they were
-   found alike: the memory of both is that of the frame before the last. */
-INLINE bool is_known(const int block, __constant Frame *frame, __global const int *last_stir) {
-    return frame->rests >= 3 && !(frame->collects && frame->levels > 1) && frame->number - last_stir[block] > 2;
-}
-
 WIDE __kernel __attribute__((reqd_work_group_size(GROUP, 1, 1))) void
 find_links(__constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
            __global const int *last_stir, __global uchar *links, __global uchar *state, __global Key *fill_keys,
@@ -263,7 +255,7 @@ find_links(__constant Frame *frame, __global const float *depth, __global const 
                            .push_winners = push_winners};
 #if LANES == 8
     if (src_x >= source_width || src_y >= source_height) return;
-    if (is_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
+    if (links_are_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
     const bool inner =
         src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
     Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
@@ -280,7 +272,7 @@ find_links(__constant Frame *frame, __global const float *depth, __global const 
     for (int column = lane; column < COLUMNS; column += GROUP)
         load_column(column, first_x + column, src_y - REACH, source_width, source_height, depth, dynamic_mask, &tile);
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (src_x >= source_width || is_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
+    if (src_x >= source_width || links_are_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
     const Place p = {source_width, source_height, src_x, src_y, lane, &tile};
     find(p, collect, frame->levels == 1, links, to);
 #endif

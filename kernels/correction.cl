@@ -1,5 +1,5 @@
 /* Application of the shading correction network's judgement to the extrapolated frame (paper: 'Shading Correction
-   Network'): the correction at half resolution, and the final image. */
+   Network'): the correction at half resolution, and the final image; and what follows the flow of the image. */
 
 #include "frame.h"
 #include "candidates.h"
@@ -28,6 +28,8 @@
 #define TRUSTED 3.0f
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
+#define FOLLOWED_SHARE 0.5f /* of a color that follows the flow; docs/deviations.md, "What the image flow explains" */
+#define FOLLOWED_ROWS 4 /* of a work-item: those of a pixel of a quarter of the resolution */
 
 /* Bits of `asked`: whether the image is unchanged where the mask is 0, and whether `refined` is requested. */
 #define WITHIN_MASK 1
@@ -101,13 +103,8 @@ INLINE void head_of(__constant float *head, const Floats *seen, Floats *said) {
 /* Four pixels of a quarter of the resolution's planes make 2x2 pixels of half of it: those of the pixels from (x, y)
    on, of the planes of one channel. */
 INLINE Floats load_detail(__global const float *planes, const int plane, const int x, const int y, const int width) {
-    __global const float *left = planes + 2 * (y & 1) * plane + (y >> 1) * width + (x >> 1);
-#if LANES == 8
-    const float4 even = vload4(0, left), odd = vload4(0, left + plane);
-    return (float8)(even.x, odd.x, even.y, odd.y, even.z, odd.z, even.w, odd.w);
-#else
-    return left[(x & 1) * plane];
-#endif
+    __global const float *row = planes + 2 * (y & 1) * plane + (y >> 1) * width;
+    return load_in_turns(row, row + plane, x);
 }
 
 /* The difference between `now`, moved from a place along the flow, and the color here, within CHANGE_MARGIN times the
@@ -131,16 +128,10 @@ INLINE Ints is_trusted_around(__global const float *trusted, const int width, co
 #pragma unroll
     for (int dy = -1; dy <= 1; ++dy) {
         __global const float *row = trusted + clamp((y >> 1) + dy, 0, height - 1) * width;
-#if LANES == 8
-        const int first = (x >> 1) - 1;
-        if (first >= 0 && first + LANES <= width) {
-            const float8 near = vload8(0, row + first);
-            sum += near.s00112233 + near.s11223344 + near.s22334455;
-            continue;
-        }
-#endif
+        const bool inner = LANES > 1 && x >= 2 && (x >> 1) + LANES / 2 < width;
         for (int dx = -1; dx <= 1; ++dx)
-            sum += gather_floats(row, clamp(((x + LANE_NUMBERS) >> 1) + dx, (Ints)(0), (Ints)(width - 1)));
+            sum += inner ? load_doubled(row + (x >> 1) + dx)
+                         : gather_floats(row, clamp(((x + LANE_NUMBERS) >> 1) + dx, (Ints)(0), (Ints)(width - 1)));
     }
     return !(sum == 0.0f);
 }
@@ -208,19 +199,11 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
         copy_rgb_run(color, out);
         return;
     }
-    int lane_holds[LANES];
-    float r[LANES], g[LANES], b[LANES];
-    store_ints(holds, 0, lane_holds);
-    store_floats(c.r, 0, r);
-    store_floats(c.g, 0, g);
-    store_floats(c.b, 0, b);
-    for (int k = 0; k < min(count, LANES); ++k) {
-        if (lane_holds[k]) {
-            store_color((float3)(r[k], g[k], b[k]), out, k);
-        } else {
+    for (int k = 0; k < min(count, LANES); ++k)
+        if (int_of(&holds, k))
+            store_color((float3)(float_of(&c.r, k), float_of(&c.g, k), float_of(&c.b, k)), out, k);
+        else
             ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
-        }
-    }
 }
 
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that
@@ -262,4 +245,49 @@ WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __
                  rest = 1.0f - share;
     const WideRgb mixed = {c.r * rest + made.r * share, c.g * rest + made.g * share, c.b * rest + made.b * share};
     store_where(share > 0.0f, mixed, count, color + 4 * i, out_color + 4 * i);
+}
+
+/* Whether any of the pixels of a quarter of the resolution between which those of the display from (x, y) on lie is
+   `followed`, in FOLLOWED_ROWS rows. */
+INLINE bool is_followed(__global const float *followed, const int width, const int height, const int x, const int y) {
+    bool any_is = false;
+    for (int row = (y >> 2) - 1; row <= (y >> 2) + 1; ++row)
+        for (int column = (x >> 2) - 1; column <= ((x + LANES - 1) >> 2) + 1; ++column)
+            any_is |= followed[clamp(row, 0, height - 1) * width + clamp(column, 0, width - 1)] > 0.0f;
+    return any_is;
+}
+
+/* The places in an image 1 / `shrunk` as large of pixels from (x, y) on. */
+INLINE void find_shrunk(const int x, const int y, const float shrunk, const int width, const int height, Sample *s) {
+    const float scale = 1.0f / shrunk, offset = 0.5f * scale - 0.5f;
+    find_sample(scale * row_indices(x) + offset, (Floats)(scale * (float)y + offset), width, height, s);
+}
+
+/* Moves the final image half way to the extrapolated color along the flow, where that is followed. */
+WIDE __kernel void follow_flow(__constant Frame *restrict frame, __global const half *extrapolated,
+                               __global const float *flow, __global const float *followed, __global half *color) {
+    const int target_width = frame->target_width, target_height = frame->target_height;
+    const int width = frame->network_width / 2, height = frame->network_height / 2;
+    const int x = get_global_id(0) * LANES, first = get_global_id(1) * FOLLOWED_ROWS, count = target_width - x;
+    if (x >= target_width || first >= target_height || !is_followed(followed, width, height, x, first)) return;
+    for (int y = first; y < min(first + FOLLOWED_ROWS, target_height); ++y) {
+        Sample near, coarse, there;
+        find_shrunk(x, y, 4.0f, width, height, &near);
+        const Floats share = FOLLOWED_SHARE * sampled(followed, &near), rest = 1.0f - share;
+        find_shrunk(x, y, 8.0f, width / 2, height / 2, &coarse);
+        const float pixels = 4.0f * frame->alpha; /* of the display, until t + alpha */
+        find_sample(row_indices(x) + pixels * sampled(flow, &coarse),
+                    (float)y + pixels * sampled(flow + width * height / 4, &coarse), target_width, target_height,
+                    &there);
+        const Ints below = there.tap + there.down;
+        const WideRgb a = gather_rgb(extrapolated, there.tap), b = gather_rgb(extrapolated, there.tap + there.right),
+                      c = gather_rgb(extrapolated, below), d = gather_rgb(extrapolated, below + there.right);
+        const WideRgb moved = {between_taps(a.r, b.r, c.r, d.r, &there), between_taps(a.g, b.g, c.g, d.g, &there),
+                               between_taps(a.b, b.b, c.b, d.b, &there)};
+        __global half *out = color + 4 * (y * target_width + x);
+        const WideRgb now = finite_rgb(load_some_rgb(count, out)), then = finite_rgb(moved);
+        const WideRgb mixed = {now.r * rest + then.r * share, now.g * rest + then.g * share,
+                               now.b * rest + then.b * share};
+        store_where(share > 0.0f, mixed, count, out, out);
+    }
 }

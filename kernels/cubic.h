@@ -1,20 +1,12 @@
-/* Cubic (Catmull-Rom) interpolation of half images. */
+/* Cubic interpolation of half images, but for the corners of 4x4 taps, which weigh little. */
 
-#include "rgb.h"
-#include "simd.h"
+#include "simd_rgb.h"
 
 #define CATMULL_ROM 0.5f /* slope */
 
 /* Weights of cubic convolution (Keys) of the four taps around t in [0, 1), with these slopes at the taps: with
    CATMULL_ROM it is Catmull-Rom, with more it is sharper. */
-INLINE float4 cubic_weights(const float t, const float slope) {
-    const float t2 = t * t, t3 = t2 * t;
-    return (float4)(slope * (2.0f * t2 - t - t3), 1.0f + (slope - 3.0f) * t2 + (2.0f - slope) * t3,
-                    slope * t + (3.0f - 2.0f * slope) * t2 + (slope - 2.0f) * t3, slope * (t3 - t2));
-}
-
-/* The cubic weights of LANES numbers, by tap. */
-INLINE void wide_cubic_weights(const Floats t, const float slope, Floats *weights) {
+INLINE void cubic_weights(const Floats t, const float slope, Floats *weights) {
     const Floats t2 = t * t, t3 = t2 * t;
     weights[0] = slope * (2.0f * t2 - t - t3);
     weights[1] = 1.0f + (slope - 3.0f) * t2 + (2.0f - slope) * t3;
@@ -22,22 +14,18 @@ INLINE void wide_cubic_weights(const Floats t, const float slope, Floats *weight
     weights[3] = slope * (t3 - t2);
 }
 
-/* Weights of the columns with which those of all 4x4 taps but the corners, which weigh little, add up to 1. */
-INLINE float4 without_corners(const float4 wx, const float4 wy) {
-    return wx * divide(1.0f, 1.0f - (wx.x + wx.w) * (wy.x + wy.w));
-}
-
-INLINE void wide_without_corners(Floats *wx, const Floats *wy) {
+/* Makes the weights of all taps but the corners add up to 1. */
+INLINE void leave_out_corners(Floats *wx, const Floats *wy) {
     const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (wx[0] + wx[3]) * (wy[0] + wy[3]));
     for (int k = 0; k < 4; ++k) wx[k] *= scale;
 }
 
 #define NOT_STEEPER 0.0f /* for `per_range`: interpolation alone */
 
-/* Cubic interpolation of 4x4 taps but for the corners, for colors of type F, a column at a time: all of them at once
-   take many registers. Of finite numbers. The result is steepened: it moves away from the middle of its taps, by
-   `steeper` of its distance, in proportion to their range, up to 1 / per_range. Then it is clamped to the four inner
-   taps. Of the first and the last column, only the taps b and c count. */
+/* Interpolation of colors of type F, of finite numbers, a column at a time: all of them at once take 48 registers of a
+   GPU. The result is steepened: it moves away from the middle of its taps, by `steeper` of its distance, in proportion
+   to their range, up to 1 / per_range. Then it is clamped to the four inner taps. Of the first and the last column,
+   only the taps b and c count. */
 #define DEFINE_CUBIC(F, Sums, add_column, sums_up)                                                                     \
     typedef struct {                                                                                                   \
         F sum, low, high, outer_low, outer_high;                                                                       \
@@ -71,46 +59,49 @@ INLINE void wide_without_corners(Floats *wx, const Floats *wy) {
 
 DEFINE_CUBIC(float4, CubicSums, add_column, sums_up)
 
-INLINE float component_of(const float4 w, const int k) { return k == 0 ? w.x : k == 1 ? w.y : k == 2 ? w.z : w.w; }
-
-/* The same of the taps from index `first` on. */
-INLINE float3 cubic(const int first, const float4 wx, const float4 wy, const int width, __global const half *image,
-                    const float steeper, const float per_range) {
-    const float4 rows[4] = {(float4)(wy.x), (float4)(wy.y), (float4)(wy.z), (float4)(wy.w)};
-    CubicSums s;
-#pragma unroll
-    for (int tx = 0; tx < 4; ++tx) {
-        const float4 b = load_texel(first + width + tx, image), c = load_texel(first + 2 * width + tx, image);
-        const bool inner = tx == 1 || tx == 2;
-        const float4 a = inner ? load_texel(first + tx, image) : b,
-                     d = inner ? load_texel(first + 3 * width + tx, image) : c;
-        add_column(tx, a, b, c, d, (float4)(component_of(wx, tx)), rows, &s);
-    }
-    return sums_up(s, (float4)(steeper), per_range).xyz;
-}
-
 #if LANES == 8
+DEFINE_CUBIC(Texels, RunSums, add_run_column, run_sums_up)
+#else
+#define RunSums CubicSums
+#define add_run_column add_column
+#define run_sums_up sums_up
+#endif
 
-DEFINE_CUBIC(float16, FourCubicSums, add_four_columns, sum_up_four)
-
-/* Weights of four pixels, each for the four channels of its texel. */
-#define SPREAD(w) ((w).s0000111122223333)
-#define WITHOUT_ALPHA(c) ((float16)((c).s012, 0.0f, (c).s456, 0.0f, (c).s89a, 0.0f, (c).scde, 0.0f))
-
-/* cubic of four pixels in a row whose taps lie in a row, from index `first` on. */
-INLINE float16 cubic_of_run(const int first, const float4 *wx, const float4 *wy, const int width,
-                            __global const half *image, const float4 steeper, const float per_range) {
-    const float16 rows[4] = {SPREAD(wy[0]), SPREAD(wy[1]), SPREAD(wy[2]), SPREAD(wy[3])};
-    FourCubicSums s;
+/* The pixels of a part, whose taps lie in a row from index `first` on. */
+INLINE Texels cubic_of_run(const int first, const Floats *wx, const Floats *wy, const int part, const int width,
+                           __global const half *image, const Floats steeper, const float per_range) {
+    const Texels rows[4] = {OF_TEXELS(wy[0], part), OF_TEXELS(wy[1], part), OF_TEXELS(wy[2], part),
+                            OF_TEXELS(wy[3], part)};
+    RunSums s;
 #pragma unroll
     for (int tx = 0; tx < 4; ++tx) {
         __global const half *p = image + 4 * (first + tx);
-        const float16 b = vload_half16(0, p + 4 * width), c = vload_half16(0, p + 8 * width);
+        const Texels b = load_texels(0, p + 4 * width), c = load_texels(0, p + 8 * width);
         const bool inner = tx == 1 || tx == 2;
-        const float16 a = inner ? vload_half16(0, p) : b, d = inner ? vload_half16(0, p + 12 * width) : c;
-        add_four_columns(tx, a, b, c, d, SPREAD(wx[tx]), rows, &s);
+        const Texels a = inner ? load_texels(0, p) : b, d = inner ? load_texels(0, p + 12 * width) : c;
+        add_run_column(tx, a, b, c, d, OF_TEXELS(wx[tx], part), rows, &s);
     }
-    return sum_up_four(s, SPREAD(steeper), per_range);
+    return run_sums_up(s, OF_TEXELS(steeper, part), per_range);
 }
 
-#endif
+/* The weights of lane k for rows of taps. */
+INLINE void rows_of_lane(const Floats *wy, const int k, float4 *rows) {
+    for (int ty = 0; ty < 4; ++ty) rows[ty] = (float4)(float_of(&wy[ty], k));
+}
+
+/* The same of the pixel of lane k from taps in any columns and rows, which begin at indices `rows`. */
+INLINE float4 cubic_of_lane(const int *columns, const int *rows, const Floats *wx, const Floats *wy, const int k,
+                            __global const half *image, const Floats steeper, const float per_range) {
+    float4 row_weights[4];
+    rows_of_lane(wy, k, row_weights);
+    CubicSums s;
+#pragma unroll
+    for (int tx = 0; tx < 4; ++tx) {
+        const float4 b = load_texel(rows[1] + columns[tx], image), c = load_texel(rows[2] + columns[tx], image);
+        const bool inner = tx == 1 || tx == 2;
+        const float4 a = inner ? load_texel(rows[0] + columns[tx], image) : b,
+                     d = inner ? load_texel(rows[3] + columns[tx], image) : c;
+        add_column(tx, a, b, c, d, (float4)(float_of(&wx[tx], k)), row_weights, &s);
+    }
+    return sums_up(s, (float4)(float_of(&steeper, k)), per_range);
+}

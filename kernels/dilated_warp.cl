@@ -12,6 +12,8 @@
 #include "flow.h"
 #include "dilation.h"
 
+#define GONE 2.0f /* px: a mover that is shown so far from a pixel is not shown there */
+
 /* How far LANES pixels, whose indices are `here`, lie from the pixels `nearest` among the 3x3 around them. */
 INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Floats *down) {
     const Ints step = here - nearest, rows = step > 1 ? (Ints)(1) : step < -1 ? (Ints)(-1) : (Ints)(0);
@@ -47,16 +49,33 @@ WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pas
 }
 
 /* Where the pixel (x, y), which none reached, comes from, less (x, y) / zoom: with the nearest surface within
-   FILL_REACH px, of those that show nothing nearer than themselves there, as what uncovers the pixel would be. */
+   FILL_REACH px, of those that show nothing nearer than themselves there, as what uncovers the pixel would be. Without
+   any it moves as far surfaces do. But where that shows a mover which has gone elsewhere, or at the image's border one
+   that enters, it moves as that mover. */
 INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __global const uint *winners,
-                           __global const float *z_there, const int x, const int y) {
-    const float2 px = pixel_center(x, y),
-                 own = (float2)(px.x * divide(1.0f, frame->zoom.x), px.y * divide(1.0f, frame->zoom.y));
-    const Origin from = {.z = z_there, .width = frame->source_width, .height = frame->source_height, .here = own};
+                           __global const float *target_position, __global const uchar *is_dynamic, const int x,
+                           const int y) {
+    const int width = frame->source_width, height = frame->source_height, plane = width * height;
+    const float2 px = pixel_center(x, y), per_px = (float2)(divide(1.0f, frame->zoom.x), divide(1.0f, frame->zoom.y)),
+                 own = (float2)(px.x * per_px.x, px.y * per_px.y);
+    const Origin from = {.z = target_position + 2 * plane, .width = width, .height = height, .here = own};
     const uint word = nearest_beside(keys, winners, x, y, frame->target_width, frame->target_height, from);
-    if (word != NOBODY) return components(word);
-    const float3 far = reproject(px, INFINITY, frame->to_source);
-    return far.z > 0.0f ? far.xy - own : (float2)(0.0f, 0.0f);
+    float2 place = own;
+    if (word != NOBODY) {
+        place += components(word);
+    } else {
+        const float3 far = reproject(px, INFINITY, frame->to_source);
+        if (far.z > 0.0f) place = far.xy;
+    }
+    const int src_x = clamp((int)place.x, 0, width - 1), src_y = clamp((int)place.y, 0, height - 1);
+    const int src = src_y * width + src_x;
+    if (!is_dynamic[src]) return place - own;
+    const float3 there = position_of(target_position, src, plane);
+    const float2 off = there.xy - px;
+    if (holds(width, height, place) && fabs(off.x) <= GONE && fabs(off.y) <= GONE) return place - own;
+    const float2 moved = pixel_center(src_x, src_y) - (float2)(off.x * per_px.x, off.y * per_px.y);
+    const int moved_x = clamp((int)moved.x, 0, width - 1), moved_y = clamp((int)moved.y, 0, height - 1);
+    return there.z > 0.0f && !(from.z[moved_y * width + moved_x] < NEARER * there.z) ? moved - own : place - own;
 }
 
 /* LANES pixels of the new frame per work-item. */
@@ -75,24 +94,17 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
                             .codes = codes,
                             .dynamic_mask = dynamic_mask,
                             .code_offset = frame->code_offset,
-                            .sharpening = sharpening_of(*sharpness, frame)};
+                            .sharpening = sharpening_of(sharpness, frame)};
     const Uints word = load_some_winners(count, keys, winners, dst);
     const Ints reached = word != NOBODY;
     Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);
     if (!ALL(reached)) {
-        int lane_reached[LANES];
-        float lane_x[LANES], lane_y[LANES];
-        store_ints(reached, 0, lane_reached);
-        store_floats(from_x, 0, lane_x);
-        store_floats(from_y, 0, lane_y);
         for (int k = 0; k < min(LANES, count); ++k) {
-            if (lane_reached[k]) continue;
-            const float2 from = place_beside(frame, keys, winners, target_position + 2 * plane, x + k, y);
-            lane_x[k] = from.x;
-            lane_y[k] = from.y;
+            if (int_of(&reached, k)) continue;
+            const float2 from = place_beside(frame, keys, winners, target_position, dynamic_mask, x + k, y);
+            set_float(&from_x, k, from.x);
+            set_float(&from_y, k, from.y);
         }
-        from_x = load_floats(0, lane_x);
-        from_y = load_floats(0, lane_y);
     }
     const Floats center_x = row_centers(x);
     const float center_y = (float)y + 0.5f;

@@ -4,6 +4,7 @@
 #include "stencil.h"
 #include "thresholds.h"
 
+/* What set the reach: docs/performance.md, "Other methods". */
 #define STEPS 32.0f     /* of a word, per pixel */
 #define ZERO 32768.0f   /* a component of 0 in a word; no word is NOBODY */
 #define LONGEST 1023.0f /* px: longer vectors are not carried */
@@ -17,7 +18,7 @@
 /* The least depth of the 3x3 around LANES pixels from (x, y) on, and its pixels; of sky their own. */
 INLINE Floats find_nearest(__global const float *depth, const int x, const int y, const int width, const int height,
                            Ints *nearest) {
-    const Span p = {x, y, width, height, x >= 1 && y >= 1 && x + LANES < width && y + 1 < height};
+    const Span p = span_at(x, y, width, height);
     Floats least = (Floats)(INFINITY);
     *nearest = clamped_beside(p, 0, 0);
 #pragma unroll
@@ -45,15 +46,10 @@ INLINE void offer_vectors(const int pass, __global Key *keys, __global uint *win
                           const Ints lands, const Floats px_x, const Floats px_y, const Floats vector_x,
                           const Floats vector_y, const Floats z) {
     const Floats none = (Floats)(0.0f);
-    int lane_lands[LANES], lane_dst[LANES];
-    uint lane_word[LANES];
-    float lane_z[LANES];
-    store_ints(lands, 0, lane_lands);
-    store_ints(to_ints(lands ? px_y : none) * width + to_ints(lands ? px_x : none), 0, lane_dst);
-    store_ints(half_word(lands ? vector_y : none) << 16 | half_word(lands ? vector_x : none), 0, lane_word);
-    store_floats(z, 0, lane_z);
+    const Ints dst = to_ints(lands ? px_y : none) * width + to_ints(lands ? px_x : none);
+    const Uints word = half_word(lands ? vector_y : none) << 16 | half_word(lands ? vector_x : none);
     for (int k = 0; k < min(LANES, count); ++k)
-        if (lane_lands[k]) offer(pass, keys, winners, lane_dst[k], lane_z[k], lane_word[k]);
+        if (int_of(&lands, k)) offer(pass, keys, winners, int_of(&dst, k), float_of(&z, k), uint_of(&word, k));
 }
 
 /* The rendered frame, for a pixel that comes from `here` plus the vector in a word. `z`: depths of its pixels in the

@@ -4,11 +4,7 @@
 
 #define DIRECTIONS 8             /* direction k + 4 is opposite to k */
 /* Pixels that are read at once: GPUs' marches rarely wait for memory then. */
-#if LANES == 1
-#define AT_ONCE 16
-#else
-#define AT_ONCE 1
-#endif
+#define AT_ONCE (LANES == 1 ? 16 : 1)
 
 INLINE int2 direction(const int k) {
     const int quarter = k & 3, sign = k < 4 ? 1 : -1;

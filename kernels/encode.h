@@ -1,21 +1,17 @@
-/* Encoding of the rendered frame's colors (color_code.h), LANES of a row at once. */
+/* Codes of the rendered frame's colors (color_code.h), LANES of a row at once. */
 
 #include "simd_rgb.h"
 #include "color_code.h"
 
-/* encode_texels is encode_color of pixels of a strip; nobody asks for the code of the fourth channel. */
-#if LANES == 8
 DEFINE_ROOT(Texels, texel_roots)
 DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
-#else
-#define encode_texels(c, offset) (float4)(encode_color((c).xyz, offset), 0.0f)
-#endif
 
 /* Encodes `count` colors, at most LANES, from pixel `src` on. NaN counts as 0, infinities are clamped. */
 INLINE void encode_run(const int count, const int src, const float code_offset, __global const half *color,
                        __global half *codes) {
     Strip s = load_strip(count, color + 4 * src);
     for (int part = 0; part < PARTS; ++part) {
+        VALID(s.part[part]) = 0.0f; /* before and after: so nothing is computed for it */
         s.part[part] = encode_texels(finite_texels(s.part[part]), code_offset);
         VALID(s.part[part]) = 0.0f;
     }

@@ -1,8 +1,10 @@
 /* Flow, which is where source pixels go: predicted positions and their slopes (warp.cl, backward_blocks.cl), of LANES
    fragments at once. */
 
+#include "frame.h"
 #include "places.h"
 
+/* What set the thresholds: docs/deviations.md, "Fragments cover what their pixel maps to". */
 #define FOOTPRINT_HALF 0.65f /* half a source pixel and a margin for second-order terms */
 #define FOOTPRINT_REACH 8 /* px: the most that a fragment covers to each side */
 #define STRETCH_MOST 4.0f /* a footprint stretched by more than this over the one by depth is not trusted */
@@ -21,6 +23,20 @@ typedef struct {
     int target_width, target_height;
     float2 zoom; /* target pixels per source pixel of points equally far from both cameras */
 } Fragments;
+
+INLINE Fragments fragments_of(__constant Frame *frame, __global const float *depth,
+                              __global const float *target_position, __global const uchar *links) {
+    const Fragments f = {.depth = depth,
+                         .target_position = target_position,
+                         .links = links,
+                         .width = frame->source_width,
+                         .height = frame->source_height,
+                         .plane = frame->source_width * frame->source_height,
+                         .target_width = frame->target_width,
+                         .target_height = frame->target_height,
+                         .zoom = frame->zoom};
+    return f;
+}
 
 /* The values of one plane at LANES fragments and at their neighbors. */
 typedef struct {

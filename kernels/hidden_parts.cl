@@ -201,41 +201,6 @@ INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *fr
     return true;
 }
 
-/* The open pixels that are holes, a team of work-items for each. Empties the lists of parts that reappear. */
-WALK __kernel void fill_hidden_parts(__constant Frame *restrict frame, __global const float *source_depth,
-                                     __global const float2 *source_motion, __global const float *depth_prev,
-                                     __global const uint *open, __global const uchar *disoccluded,
-                                     __global const uchar *is_dynamic, __global half *color, __global float *depth,
-                                     __global float2 *motion, __global uchar *filled_by, __global uint *edges,
-                                     __global uint *offered) {
-    __local Side sides[TEAMS][DIRECTIONS];
-    const Images images = {.source_depth = source_depth,
-                           .depth_prev = depth_prev,
-                           .source_motion = source_motion,
-                           .disoccluded = disoccluded,
-                           .is_dynamic = is_dynamic,
-                           .color = color,
-                           .depth = depth,
-                           .motion = motion,
-                           .filled_by = filled_by};
-    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
-    if (get_global_id(0) == 0) edges[0] = offered[0] = 0;
-    for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
-        /* Team by team look into all directions ... */
-        const uint hole = entry_of(open, first + team);
-        for (int k = item % TEAM; hole < MIXED_FLAG && k < DIRECTIONS; k += TEAM)
-            sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
-        barrier(CLK_LOCAL_MEM_FENCE);
-
-        /* ... and one work-item fills a hole. */
-        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
-        const int dst_x = (int)own % width, dst_y = (int)own / width;
-        if (own < MIXED_FLAG && !fill_entering(dst_x, dst_y, frame, images))
-            fill_hidden_part(dst_x, dst_y, sides[item], frame, images);
-        barrier(CLK_LOCAL_MEM_FENCE);
-    }
-}
-
 /* ---- parts that reappear ----------------------------------------------------------------------------------------- */
 
 #define SIDES 4         /* in which movers have parts behind what is nearer: those of the bits of `links` */
@@ -316,11 +281,8 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
         for (int dst_y = max((int)ceil(y - half_y - 0.5f), 0); dst_y <= y1; ++dst_y)
             for (int dst_x = max((int)ceil(x - half_x - 0.5f), 0); dst_x <= x1; ++dst_x) {
                 const int dst = dst_y * target_width + dst_x;
-                if (!(there.z < HIDES * f.shown_depth[dst])) continue;
-                if (pass == EMPTY_KEYS) {
-                    forget(f.keys, f.winners, dst);
-                    continue;
-                }
+                if (pass == EMPTY_KEYS) forget(f.keys, f.winners, dst);
+                if (pass == EMPTY_KEYS || !(there.z < HIDES * f.shown_depth[dst])) continue;
                 const float2 place = place_of_part(src_x, src_y, dst_x, dst_y, there, frame);
                 if (!holds(width, height, place) || !is_hidden((int)place.y * width + (int)place.x, z, f)
                     || !mover_was_shown(place + mv, met, frame, f))
@@ -340,46 +302,77 @@ INLINE bool is_hidden_beside(const int src, const int k, __constant Frame *frame
            && is_hidden(src + d.y * width + d.x, f.depth[src], f);
 }
 
-/* Lists the pixels at the edges of movers that something hides, and empties the keys that will be offered to. */
-SCAN_FLAT __kernel void list_edges(__constant Frame *restrict frame, __global const float *depth,
-                                   __global const float2 *motion, __global const uchar *dynamic_mask,
-                                   __global const uchar *links, __global const float *met_depth,
-                                   __global const float *target_position, __global const float *shown_depth,
-                                   __global Key *keys, __global uint *winners, __global uint *edges) {
-    __local ushort found[SCAN_GROUP * SCAN_BYTES];
-    __local uint count;
+/* Offers parts, or empties the keys for them, at the edges of movers that something hides, of those that the work-group
+   scans, one side per work-item. `found`, `found_count`: as for scan_for. */
+INLINE void offer_at_edges(const int pass, __constant Frame *frame, const Parts f, __local ushort *found,
+                           __local uint *found_count) {
     const int width = frame->source_width;
-    const Parts parts = {.depth = depth,
-                         .met_depth = met_depth,
-                         .target_position = target_position,
-                         .motion = motion,
-                         .dynamic_mask = dynamic_mask,
-                         .links = links,
-                         .shown_depth = shown_depth,
-                         .keys = keys,
-                         .winners = winners};
-    if (!frame->has_previous) return;
-    const int first = scan_for(DYNAMIC, dynamic_mask, width * frame->source_height, found, &count);
-    for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
-        const int src = first + found[i];
-        bool is_edge = false;
-        for (int k = 0; links[src] != ALL_LINKS && k < SIDES; ++k) {
-            if (!is_hidden_beside(src, k, frame, parts)) continue;
-            is_edge = true;
-            offer_side(src % width, src / width, k, EMPTY_KEYS, frame, parts);
-        }
-        if (is_edge) append((uint)src, edges);
+    const int first = scan_for(DYNAMIC, f.dynamic_mask, width * frame->source_height, found, found_count);
+    for (uint i = get_local_id(0); i < SIDES * *found_count; i += SCAN_GROUP) {
+        const int src = first + found[i / SIDES], k = (int)i % SIDES;
+        if (is_hidden_beside(src, k, frame, f)) offer_side(src % width, src / width, k, pass, frame, f);
     }
 }
 
-/* Offers the parts of movers that reappear at the listed edges, one side per work-item. Lists where. */
-WALK __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
-                                     __global const float2 *motion, __global const uchar *dynamic_mask,
-                                     __global const uchar *links, __global const float *met_depth,
-                                     __global const float *target_position, __global const float *depth_prev,
-                                     __global const float *shown_depth, __global Key *keys, __global uint *winners,
-                                     __global uchar *filled_by, __global const uint *edges, __global uint *offered) {
-    const int width = frame->source_width;
+/* Fills the open pixels that are holes, a team of work-items for each. If parts `reappear`, empties the keys that they
+   will be offered to, which nothing else here reads, and the list of where. */
+SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, const int reappear,
+                                          __global const float *source_depth, __global const float2 *source_motion,
+                                          __global const float *depth_prev, __global const uint *open,
+                                          __global const uchar *disoccluded, __global const uchar *is_dynamic,
+                                          __global half *color, __global float *depth, __global float2 *motion,
+                                          __global uchar *filled_by, __global const uchar *dynamic_mask,
+                                          __global const uchar *links, __global const float *met_depth,
+                                          __global const float *target_position, __global Key *keys,
+                                          __global uint *winners, __global uint *offered) {
+    __local Side sides[TEAMS][DIRECTIONS];
+    __local ushort found[SCAN_GROUP * SCAN_BYTES];
+    __local uint found_count;
+    const Images images = {.source_depth = source_depth,
+                           .depth_prev = depth_prev,
+                           .source_motion = source_motion,
+                           .disoccluded = disoccluded,
+                           .is_dynamic = is_dynamic,
+                           .color = color,
+                           .depth = depth,
+                           .motion = motion,
+                           .filled_by = filled_by};
+    const Parts parts = {.depth = source_depth,
+                         .met_depth = met_depth,
+                         .target_position = target_position,
+                         .motion = source_motion,
+                         .dynamic_mask = dynamic_mask,
+                         .links = links,
+                         .keys = keys,
+                         .winners = winners};
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
+    if (reappear && frame->has_previous) offer_at_edges(EMPTY_KEYS, frame, parts, found, &found_count);
+    if (reappear && get_global_id(0) == 0) offered[0] = 0;
+    for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
+        /* Team by team look into all directions ... */
+        const uint hole = entry_of(open, first + team);
+        for (int k = item % TEAM; hole < MIXED_FLAG && k < DIRECTIONS; k += TEAM)
+            sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
+        barrier(CLK_LOCAL_MEM_FENCE);
+
+        /* ... and one work-item fills a hole. */
+        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        const int dst_x = (int)own % width, dst_y = (int)own / width;
+        if (own < MIXED_FLAG && !fill_entering(dst_x, dst_y, frame, images))
+            fill_hidden_part(dst_x, dst_y, sides[item], frame, images);
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+}
+
+/* Offers the parts of movers that reappear. Lists where. */
+SCAN_FLAT __kernel void offer_reappearing(__constant Frame *restrict frame, const int pass, __global const float *depth,
+                                          __global const float2 *motion, __global const uchar *dynamic_mask,
+                                          __global const uchar *links, __global const float *met_depth,
+                                          __global const float *target_position, __global const float *depth_prev,
+                                          __global const float *shown_depth, __global Key *keys, __global uint *winners,
+                                          __global uchar *filled_by, __global uint *offered) {
+    __local ushort found[SCAN_GROUP * SCAN_BYTES];
+    __local uint found_count;
     const Parts parts = {.depth = depth,
                          .depth_prev = depth_prev,
                          .met_depth = met_depth,
@@ -392,10 +385,7 @@ WALK __kernel void offer_reappearing(__constant Frame *restrict frame, const int
                          .winners = winners,
                          .filled_by = filled_by,
                          .offered = offered};
-    for (uint i = get_global_id(0); i < SIDES * edges[0]; i += get_global_size(0)) {
-        const int src = (int)LISTED(edges, i / SIDES), k = (int)i % SIDES;
-        if (is_hidden_beside(src, k, frame, parts)) offer_side(src % width, src / width, k, pass, frame, parts);
-    }
+    if (frame->has_previous) offer_at_edges(pass, frame, parts, found, &found_count);
 }
 
 /* Code of the color that a mover of depth `met` had at px_prev, where the frame before showed it. */

@@ -5,20 +5,9 @@
 #include "simd.h"
 
 #define WALK_GROUP 64 /* work-items of a group that walks a list ... */
-#if LANES == 1
-#define TEAM 8 /* ... and of a team, which works on one pixel */
-#else
-#define TEAM 1
-#endif
+#define TEAM (LANES == 1 ? 8 : 2) /* ... and of a team, which works on one pixel: CPUs have no room for more teams */
 #define TEAMS (WALK_GROUP / TEAM)
 #define MIXED_FLAG 0x80000000u /* of an entry of warp.open: the pixel is no hole, but mixed */
-
-/* Before a kernel for all pixels that appends to a list: on GPUs their groups must be known. */
-#if LANES == 1
-#define LISTS __attribute__((reqd_work_group_size(16, 8, 1)))
-#else
-#define LISTS WIDE
-#endif
 
 /* Before a kernel that walks a list. */
 #define WALK __attribute__((vec_type_hint(float4), reqd_work_group_size(WALK_GROUP, 1, 1)))
@@ -33,25 +22,19 @@ INLINE void append(const uint entry, __global uint *list) { LISTED(list, atomic_
 /* Appends the entries of the lanes that `has` tells. With one lane there is one atomic for a group, all of which must
    come here. `shared`: two numbers of the group. */
 INLINE void append_lanes(const Ints has, const Uints entries, __global uint *list, __local uint *shared) {
-#if LANES == 1
-    const bool is_first = get_local_id(0) == 0 && get_local_id(1) == 0;
-    if (is_first) shared[0] = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    const uint place = has ? atomic_inc(shared) : 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (is_first && shared[0]) shared[1] = atomic_add(list, shared[0]);
-    barrier(CLK_LOCAL_MEM_FENCE);
-    if (has) LISTED(list, shared[1] + place) = entries;
-#else
-    (void)shared;
-    if (!ANY(has)) return;
-    int lane_has[LANES];
-    uint lane_entry[LANES];
-    store_ints(has, 0, lane_has);
-    store_ints(entries, 0, lane_entry);
-    for (int k = 0; k < LANES; ++k)
-        if (lane_has[k]) append(lane_entry[k], list);
-#endif
+    if (LANES > 1) {
+        for (int k = 0; ANY(has) && k < LANES; ++k)
+            if (int_of(&has, k)) append(uint_of(&entries, k), list);
+    } else {
+        const bool is_first = get_local_id(0) == 0 && get_local_id(1) == 0;
+        if (is_first) shared[0] = 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const uint place = int_of(&has, 0) ? atomic_inc(shared) : 0;
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (is_first && shared[0]) shared[1] = atomic_add(list, shared[0]);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (int_of(&has, 0)) LISTED(list, shared[1] + place) = uint_of(&entries, 0);
+    }
 }
 
 /* Work-items of a group that looks for a value in a mask, and the bytes that each of them looks at. */

@@ -1,6 +1,7 @@
 /* Cells of 4x4 pixels of a rendered frame, in which one mover's velocity and acceleration are known (see
-   acceleration.cl). */
+   acceleration.h). */
 
+/* What set the thresholds: docs/deviations.md, "Movers' acceleration goes on". */
 #define MOVER_CELL 4                 /* px each way */
 /* CELL_TOLERANCE: relative depth within which a fragment, or another cell, belongs to the cell's mover */
 #define CELL_TOLERANCE 0.05f

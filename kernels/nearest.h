@@ -73,15 +73,13 @@ INLINE uint depth_bits_of(__global const Key *keys, const int c) {
 
 /* winner_of the first `count` of LANES pixels from c on, or all if it is more, as for load_some_floats of simd.h. */
 INLINE Uints load_some_winners(const int count, __global const Key *keys, __global const uint *winners, const int c) {
-#if LANES == 8
     if (IS_WHOLE(count)) {
 #ifdef INT64_ATOMICS
-        return convert_uint8(vload8(0, keys + c));
+        return to_uints(load_uints(0, keys + c));
 #else
         return load_uints(0, winners + c);
 #endif
     }
-#endif
     uint lanes[LANES];
     for (int k = 0; k < LANES; ++k) lanes[k] = winner_of(keys, winners, c + min(k, count - 1));
     return load_uints(0, lanes);

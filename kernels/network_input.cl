@@ -42,13 +42,11 @@ INLINE void count_depths(const Floats z, const int count, int *bin, uint *run, c
         if (*bin >= 0) *run += LANES;
         return;
     }
-    int lane_bins[LANES];
-    store_ints(bins, 0, lane_bins);
     for (int k = 0; k < LANES; ++k) {
-        if (lane_bins[k] < 0) continue;
-        if (lane_bins[k] != *bin) {
+        if (int_of(&bins, k) < 0) continue;
+        if (int_of(&bins, k) != *bin) {
             count_run(counts, *bin, *run);
-            *bin = lane_bins[k];
+            *bin = int_of(&bins, k);
             *run = 0;
         }
         ++*run;
@@ -139,22 +137,15 @@ INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
     return product;
 }
 
-#if LANES == 8
-#define CHANNEL(a, b, c) ((float8)((a).part[0].s##c, (a).part[1].s##c, (b).part[0].s##c, (b).part[1].s##c))
-#define LEFT(a, b) {CHANNEL(a, b, 08), CHANNEL(a, b, 19), CHANNEL(a, b, 2a)}
-#define RIGHT(a, b) {CHANNEL(a, b, 4c), CHANNEL(a, b, 5d), CHANNEL(a, b, 6e)}
-#else
-#define LEFT(a, b) {(a).part[0].x, (a).part[0].y, (a).part[0].z}
-#define RIGHT(a, b) {(b).part[0].x, (b).part[0].y, (b).part[0].z}
-#endif
-
 /* Means over 2x2 pixels, encoded: three planes of the network's input. */
 INLINE void store_colors(const Products products, const float4 law, const int plane_size, __global float *planes) {
-    const WideRgb left = LEFT(products.left, products.right), right = RIGHT(products.left, products.right);
-    const float scale = 0.25f * law.y;
-    store_floats(scale * log_of_product(left.r, right.r), 0, planes);
-    store_floats(scale * log_of_product(left.g, right.g), 0, planes + plane_size);
-    store_floats(scale * log_of_product(left.b, right.b), 0, planes + 2 * plane_size);
+    Floats first[4], second[4];
+    channels_of(&products.left, first);
+    channels_of(&products.right, second);
+    for (int c = 0; c < 3; ++c) {
+        const Floats left = EVEN_OF(first[c], second[c]), right = ODD_OF(first[c], second[c]);
+        store_floats(0.25f * law.y * log_of_product(left, right), 0, planes + c * plane_size);
+    }
 }
 
 /* Indices of 2x2 pixels, LANES times, from (x, y) on: upper left and right, lower left and right; the image's border is
@@ -295,22 +286,15 @@ WIDE __kernel void network_input(__constant Frame *restrict frame, __global cons
     Quads quads =
         find_quads(&frames, at[0], 2.0f * to_floats(net_x + LANE_NUMBERS) + 1.0f, 2.0f * (float)net_y + 1.0f, nearness,
                    moves[0] & moves[1] & moves[2] & moves[3], moves[0] | moves[1] | moves[2] | moves[3]);
-    int lane_smooth[LANES], lane_tap[LANES];
-    float lane_u[LANES], lane_v[LANES], lane_nearest[LANES], lane_farthest[LANES], texels[8 * LANES];
-    const Ints inside =
-        (2 * (net_x + LANE_NUMBERS) + 2 <= target_width) & (Ints)(2 * net_y + 2 <= target_height ? -1 : 0);
-    store_ints(quads.smooth & inside, 0, lane_smooth);
-    store_ints(quads.tap, 0, lane_tap);
-    store_floats(quads.u, 0, lane_u);
-    store_floats(quads.v, 0, lane_v);
-    store_floats(quads.nearest, 0, lane_nearest);
-    store_floats(quads.farthest, 0, lane_farthest);
+    float texels[8 * LANES];
     for (int k = 0; k < LANES; ++k) {
         const int x = 2 * (net_x + k), y = 2 * net_y;
+        const bool is_inside = x + 2 <= target_width && y + 2 <= target_height;
         float8 product;
-        if (!(lane_smooth[k]
-              && product_between(&frames, y * target_width + x, lane_tap[k], lane_u[k], lane_v[k], lane_nearest[k],
-                                 lane_farthest[k], law, &product)))
+        if (!(is_inside && int_of(&quads.smooth, k)
+              && product_between(&frames, y * target_width + x, int_of(&quads.tap, k), float_of(&quads.u, k),
+                                 float_of(&quads.v, k), float_of(&quads.nearest, k), float_of(&quads.farthest, k), law,
+                                 &product)))
             product = product_of_pixels(&frames, x, y, target_height, law);
         vstore8(product, k, texels);
     }

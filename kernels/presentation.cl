@@ -2,9 +2,16 @@
    A mapping is (scale x, scale y, offset x, offset y) between pixel positions of two images of one pose. */
 
 #include "frame.h"
-#include "cubic.h"
+#include "rgb.h"
 
 #define PRESENTED_ROWS 16  /* rows per work-item: rows filtered horizontally serve several of them */
+
+/* Cubic weights (Catmull-Rom) of the four taps around t in [0, 1). */
+INLINE float4 cubic_weights(const float t) {
+    const float t2 = t * t, t3 = t2 * t;
+    return (float4)(-0.5f * t + t2 - 0.5f * t3, 1.0f - 2.5f * t2 + 1.5f * t3, 0.5f * t + 2.0f * t2 - 1.5f * t3,
+                    0.5f * t3 - 0.5f * t2);
+}
 
 INLINE float cubic_1d(const float4 w, const float a, const float b, const float c, const float d) {
     return lesser(greater(w.x * a + w.y * b + w.z * c + w.w * d, lesser(b, c)), greater(b, c));
@@ -28,7 +35,7 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
     if (dst_x >= target_width) return;
     const float px_render = ((float)dst_x + 0.5f) * to_render.x + to_render.z;
     const float left = floor(px_render - 0.5f);
-    const float4 weights_x = cubic_weights(px_render - 0.5f - left, CATMULL_ROM);
+    const float4 weights_x = cubic_weights(px_render - 0.5f - left);
     const int right = source_width - 1, x0 = (int)left - 1;
     const int4 tap =
         (int4)(clamp(x0, 0, right), clamp(x0 + 1, 0, right), clamp(x0 + 2, 0, right), clamp(x0 + 3, 0, right));
@@ -48,7 +55,7 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
                              load_rgb(color, row + tap.z), load_rgb(color, row + tap.w));
         }
         held = y0;
-        const Rgb c = cubic_rgb(cubic_weights(py_render - 0.5f - top, CATMULL_ROM), row0, row1, row2, row3);
+        const Rgb c = cubic_rgb(cubic_weights(py_render - 0.5f - top), row0, row1, row2, row3);
         store_color((float3)(c.r, c.g, c.b), out_color, dst_y * target_width + dst_x);
     }
 }

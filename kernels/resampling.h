@@ -1,8 +1,6 @@
-/* Resampling of the rendered frame at any place: cubic, and bilinear over some of the taps, of colors' codes. One
-   pixel, and LANES at once. */
+/* Resampling of the rendered frame at LANES places: cubic, and bilinear over some of the taps, of colors' codes. */
 
-#include "simd_rgb.h"
-#include "color_code.h"
+#include "encode.h"
 #include "cubic.h"
 
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
@@ -27,9 +25,10 @@ INLINE Sharpening sharpening(const float sharpness, const float code_offset) {
     return s;
 }
 
-/* Of a new frame after rendered ones of that sharpness (sharpness.cl). */
-INLINE Sharpening sharpening_of(const float measured, __constant Frame *frame) {
-    return sharpening(measured * fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f), frame->code_offset);
+/* Of a new frame after rendered ones of the measured sharpness (sharpness.cl), if any is measured. */
+INLINE Sharpening sharpening_of(__global const float *measured, __constant Frame *frame) {
+    if (!frame->sharpness) return sharpening(0.0f, frame->code_offset);
+    return sharpening(*measured * fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f), frame->code_offset);
 }
 
 /* 1 midway between pixels, 0 at their centers. */
@@ -60,32 +59,11 @@ INLINE float3 of_those_alike(const int alike, const int tap, const float u, cons
                               : load_color(shown.color, winner);
 }
 
-/* Where a pixel is resampled: at (u, v) from the pixel `tap`, next to the winner `src`. */
-typedef struct {
-    int src, tap, alike;
-    float u, v;
-} Sample;
-
-/* Cubic where the neighborhood moves alike; else bilinear over those of the four taps that move alike. */
-INLINE float3 resample(const Sample s, const int source_width, const Rendered shown) {
-    if (s.tap == s.src && s.u == 0.0f && s.v == 0.0f) return load_color(shown.color, s.src);
-    if (s.alike != ALL_ALIKE) return of_those_alike(s.alike, s.tap, s.u, s.v, source_width, s.src, shown);
-    const Sharpening sharp = shown.sharpening;
-    const float4 wx = cubic_weights(s.u, sharp.slope), wy = cubic_weights(s.v, sharp.slope);
-    const float3 code = cubic(s.tap - source_width - 1, without_corners(wx, wy), wy, source_width, shown.codes,
-                              sharp.steeper * MIDWAY(s.u, s.v), sharp.per_range);
-    return decode_color(code, shown.code_offset);
-}
-
-#if LANES == 8
-/* Sample of LANES pixels. */
+/* Where LANES pixels are resampled: at (u, v) from the pixels `tap`, next to the winners `src`. */
 typedef struct {
     Ints src, tap, alike;
     Floats u, v;
 } Samples;
-#else
-typedef Sample Samples;
-#endif
 
 INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const int source_width, Samples *s) {
     const Floats ox = floor(dx), oy = floor(dy);
@@ -96,70 +74,49 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
     s->v = dy - oy;
 }
 
-#if LANES == 8
-DEFINE_ROOT(Texels, texel_roots)
-
-/* decode_texels is decode_color of four pixels. */
-DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
-
-/* Four pixels in a row whose taps lie in a row from `tap` on; those that are a pixel of the rendered frame, `exact`,
-   keep its bits. False where they are to be made one by one. */
-INLINE bool resample_four(const int tap, const int4 exact, const float4 *wx, const float4 *wy, const float4 steeper,
-                          const int source_width, const Rendered shown, __global half *out_color) {
-    if (any(exact) && !all(exact)) return false;
-    const Texels c = all(exact) ? vload_half16(0, shown.color + 4 * tap)
-                                : decode_texels(cubic_of_run(tap - source_width - 1, wx, wy, source_width, shown.codes,
-                                                             steeper, shown.sharpening.per_range),
-                                                shown.code_offset);
-    store_texels(WITHOUT_ALPHA(c), 0, out_color);
-    return true;
-}
-
-/* Resamples halves whose taps lie in a row. Gives the lanes in `use` that are left. */
-INLINE Ints resample_halves(const Samples s, const Ints use, const int source_width, const Rendered shown,
-                            const int dst, __global half *out_color) {
-    int lane_tap[LANES];
-    Floats wx[4], wy[4];
-    store_ints(s.tap, 0, lane_tap);
-    wide_cubic_weights(s.u, shown.sharpening.slope, wx);
-    wide_cubic_weights(s.v, shown.sharpening.slope, wy);
-    const Floats steeper = shown.sharpening.steeper * MIDWAY(s.u, s.v);
-    wide_without_corners(wx, wy);
-    const Ints exact = (s.tap == s.src) & (s.u == 0.0f) & (s.v == 0.0f);
-    const Ints whole = use & ((s.alike == ALL_ALIKE) | exact), in_row = s.tap - LANE_NUMBERS;
-    const float4 left_x[4] = {wx[0].lo, wx[1].lo, wx[2].lo, wx[3].lo},
-                 left_y[4] = {wy[0].lo, wy[1].lo, wy[2].lo, wy[3].lo};
-    const float4 right_x[4] = {wx[0].hi, wx[1].hi, wx[2].hi, wx[3].hi},
-                 right_y[4] = {wy[0].hi, wy[1].hi, wy[2].hi, wy[3].hi};
-    const bool left =
-        all(whole.lo & (in_row.lo == lane_tap[0]))
-        && resample_four(lane_tap[0], exact.lo, left_x, left_y, steeper.lo, source_width, shown, out_color + 4 * dst);
-    const bool right = all(whole.hi & (in_row.hi == lane_tap[4] - 4))
-                       && resample_four(lane_tap[4], exact.hi, right_x, right_y, steeper.hi, source_width, shown,
-                                        out_color + 4 * (dst + 4));
-    return use & (Ints)((int4)(left ? 0 : -1), (int4)(right ? 0 : -1));
-}
-#else
-#define resample_halves(s, use, source_width, shown, dst, out_color) (use)
-#endif
-
-/* The samples of the lanes in `use`. */
+/* Stores the colors of the lanes in `use`: a pixel of the rendered frame keeps its bits; cubic where the neighborhood
+   moves alike; else bilinear over those of the four taps that move alike. A part whose taps lie in a row is made at
+   once, others pixel by pixel. */
 INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
                            __global half *out_color) {
-    const Ints rest = resample_halves(s, use, source_width, shown, dst, out_color);
-    if (!ANY(rest)) return;
-    int lane_rest[LANES], lane_tap[LANES], lane_alike[LANES], lane_src[LANES];
-    float lane_u[LANES], lane_v[LANES];
-    store_ints(rest, 0, lane_rest);
-    store_ints(s.tap, 0, lane_tap);
-    store_ints(s.alike, 0, lane_alike);
-    store_ints(s.src, 0, lane_src);
-    store_floats(s.u, 0, lane_u);
-    store_floats(s.v, 0, lane_v);
-    for (int k = 0; k < LANES; ++k) {
-        if (!lane_rest[k]) continue;
-        const Sample one = {
-            .src = lane_src[k], .tap = lane_tap[k], .alike = lane_alike[k], .u = lane_u[k], .v = lane_v[k]};
-        store_color(resample(one, source_width, shown), out_color, dst + k);
+    Floats wx[4], wy[4];
+    const Sharpening sharp = shown.sharpening;
+    cubic_weights(s.u, sharp.slope, wx);
+    cubic_weights(s.v, sharp.slope, wy);
+    leave_out_corners(wx, wy);
+    const Floats steeper = sharp.steeper * MIDWAY(s.u, s.v);
+    const Ints exact = (s.tap == s.src) & (s.u == 0.0f) & (s.v == 0.0f), whole = !exact & (s.alike == ALL_ALIKE);
+    const Ints in_row = use & (s.tap == ROWS_OF_PARTS(s.tap));
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) {
+        const int lane = part * TEXELS, first = int_of(&s.tap, lane);
+        const bool copied = ALL_OF_PART(in_row & exact, part);
+        if (copied || ALL_OF_PART(in_row & whole, part)) {
+            Texels c = copied ? load_texels(0, shown.color + 4 * first)
+                              : cubic_of_run(first - source_width - 1, wx, wy, part, source_width, shown.codes, steeper,
+                                             sharp.per_range);
+            VALID(c) = 0.0f;
+            if (!copied) c = decode_texels(c, shown.code_offset);
+            VALID(c) = 0.0f;
+            store_texels(c, 0, out_color + 4 * (dst + lane));
+            continue;
+        }
+        for (int k = lane; k < lane + TEXELS; ++k) {
+            if (!int_of(&use, k)) continue;
+            const int tap = int_of(&s.tap, k), src = int_of(&s.src, k);
+            float3 c;
+            if (LANES > 1 && int_of(&exact, k)) {
+                c = load_color(shown.color, src);
+            } else if (LANES > 1 && int_of(&whole, k)) {
+                const int columns[4] = {tap - 1, tap, tap + 1, tap + 2};
+                const int rows[4] = {-source_width, 0, source_width, 2 * source_width};
+                c = decode_color(cubic_of_lane(columns, rows, wx, wy, k, shown.codes, steeper, sharp.per_range).xyz,
+                                 shown.code_offset);
+            } else {
+                c = of_those_alike(int_of(&s.alike, k), tap, float_of(&s.u, k), float_of(&s.v, k), source_width, src,
+                                   shown);
+            }
+            store_color(c, out_color, dst + k);
+        }
     }
 }

@@ -1,5 +1,6 @@
 /* Weighted sums of the 3x3 rendered samples around pixels of the display (upscaling.cl). */
 
+/* What set it: docs/upscaling.md, "Figures". */
 #define FILTER_REACH 1.2f            /* display pixels: from where on a sample does not count */
 
 /* Weights of three samples in a row, a rendered pixel apart, the middle one `off` display pixels away. */
@@ -35,17 +36,19 @@ INLINE float16 columns_of(const float3 wy, const float16 above, const float16 he
     return wy.x * above + wy.y * here + wy.z * below;
 }
 
-#if LANES == 8
-
-/* Weighted sums of a row of samples for four pixels, whose columns start at these floats of `columns`. */
-INLINE float16 rows_of(const Weights *w, const int part, const int *first, const float *columns) {
-    const float *a = columns + first[0], *b = columns + first[1], *c = columns + first[2], *d = columns + first[3];
-    return OF_TEXELS(w->x[0], part) * (float16)(vload4(0, a), vload4(0, b), vload4(0, c), vload4(0, d))
-           + OF_TEXELS(w->x[1], part) * (float16)(vload4(1, a), vload4(1, b), vload4(1, c), vload4(1, d))
-           + OF_TEXELS(w->x[2], part) * (float16)(vload4(2, a), vload4(2, b), vload4(2, c), vload4(2, d));
+/* Weighted sums of a row of samples for the pixels of a part, whose columns start at these floats of `columns`. */
+INLINE Texels rows_of(const Weights *w, const int part, const int *first, const float *columns) {
+    Texels sum;
+#pragma unroll
+    for (int tap = 0; tap < 3; ++tap) {
+        float texels[4 * TEXELS];
+#pragma unroll
+        for (int k = 0; k < TEXELS; ++k) vstore4(vload4(tap, columns + first[k]), k, texels);
+        const Texels weighted = OF_TEXELS(w->x[tap], part) * reload_texels(0, texels);
+        sum = tap == 0 ? weighted : sum + weighted;
+    }
+    return sum;
 }
-
-#endif
 
 /* Weighted sums of the 3x3 samples around a pixel, a column at a time: all of them at once take 36 registers. */
 INLINE void sums_of_one(const int x, const int y, float3 near_x, const float3 near_y, float3 far_x, const float3 far_y,
@@ -70,48 +73,34 @@ INLINE void sums_of_one(const int x, const int y, float3 near_x, const float3 ne
 /* The weighted sum of the 3x3 samples around each of LANES pixels of a row, and one with other weights. */
 INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const Weights far, const int width,
                          const int height, __global const half *compressed, Wide4 *far_sum) {
-#if LANES == 8
-    int column[LANES];
-    store_ints(x, 0, column);
-    const int first = column[0] - 1;
-    if (column[7] - first <= 10) {  /* pixels are small, or of one size: they share columns */
+    const int first = FIRST_LANE(x);
+    if (LANES > 1 && LAST_LANE(x) - first <= 9) { /* pixels are small, or of one size: they share columns */
         float near_columns[48], far_columns[48];
 #pragma unroll
         for (int k = 0; k < 3; ++k) {
-            const float16 above = four_texels(compressed, first + 4 * k, y - 1, width, height),
-                          here = four_texels(compressed, first + 4 * k, y, width, height),
-                          below = four_texels(compressed, first + 4 * k, y + 1, width, height);
+            const float16 above = four_texels(compressed, first - 1 + 4 * k, y - 1, width, height),
+                          here = four_texels(compressed, first - 1 + 4 * k, y, width, height),
+                          below = four_texels(compressed, first - 1 + 4 * k, y + 1, width, height);
             vstore16(columns_of(near.y, above, here, below), k, near_columns);
             vstore16(columns_of(far.y, above, here, below), k, far_columns);
         }
         Strip s, t;
 #pragma unroll
         for (int part = 0; part < PARTS; ++part) {
-            int from[4];
-            for (int k = 0; k < 4; ++k) from[k] = 4 * (column[4 * part + k] - column[0]);
+            int from[TEXELS];
+            for (int k = 0; k < TEXELS; ++k) from[k] = 4 * (int_of(&x, part * TEXELS + k) - first);
             s.part[part] = rows_of(&near, part, from, near_columns);
             t.part[part] = rows_of(&far, part, from, far_columns);
         }
-        Floats c[4], d[4];
-        channels_of(&s, c);
-        channels_of(&t, d);
-        const Wide4 channels = {c[0], c[1], c[2], c[3]}, far_channels = {d[0], d[1], d[2], d[3]};
-        *far_sum = far_channels;
-        return channels;
+        *far_sum = channels_of_strip(&t);
+        return channels_of_strip(&s);
     }
-#endif
-    int lane_x[LANES];
-    float sums[4 * LANES], far_sums[4 * LANES], near_x[3][LANES], far_x[3][LANES];
-    store_ints(x, 0, lane_x);
-    for (int k = 0; k < 3; ++k) {
-        store_floats(near.x[k], 0, near_x[k]);
-        store_floats(far.x[k], 0, far_x[k]);
-    }
+    float sums[4 * LANES], far_sums[4 * LANES];
     for (int k = 0; k < LANES; ++k) {
+        const float3 near_x = (float3)(float_of(&near.x[0], k), float_of(&near.x[1], k), float_of(&near.x[2], k)),
+                     far_x = (float3)(float_of(&far.x[0], k), float_of(&far.x[1], k), float_of(&far.x[2], k));
         float4 near_all, far_all;
-        sums_of_one(lane_x[k], y, (float3)(near_x[0][k], near_x[1][k], near_x[2][k]), near.y,
-                    (float3)(far_x[0][k], far_x[1][k], far_x[2][k]), far.y, width, height, compressed, &near_all,
-                    &far_all);
+        sums_of_one(int_of(&x, k), y, near_x, near.y, far_x, far.y, width, height, compressed, &near_all, &far_all);
         vstore4(near_all, k, sums);
         vstore4(far_all, k, far_sums);
     }

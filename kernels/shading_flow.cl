@@ -1,14 +1,15 @@
 /* Flow of shading: from the extrapolated frame into the warped previous one, by least squares (Lucas and Kanade,
-   1981), coarse to fine; and the data on flow and trend that the shading correction network judges. Images of level
-   l have 1 / 2^l of the sides of the network's frames: 1, a quarter of the display's, is the finest. The flow is
-   computed for every second pixel. */
+   1981), coarse to fine; the data on flow and trend that the shading correction network judges; and where the flow
+   explains the last interval. Images of level l have 1 / 2^l of the sides of the network's frames: the flow is sought
+   from level 1 on, a quarter of the display's, for every second pixel. */
 
 #include "frame.h"
 #include "candidates.h"
 #include "doubling.h"
 #include "sampling.h"
 
-/* What set the thresholds: docs/deviations.md, "Texture stays whatever the network says". */
+/* What set the thresholds: docs/deviations.md, "Texture stays whatever the network says" and "What the image flow
+   explains follows it". */
 #define FLOW_LEVELS 3
 #define FLOW_STEPS 2
 #define FLAT 0.0001f      /* squared gradient of encoded color below which nothing moves */
@@ -25,11 +26,20 @@
 #define TEXTURE 1.25f
 #define TEXTURE_CHANGE 2.5f
 #define FAINT 0.00001f /* power of detail, summed over 2x2 pixels, below which there is none */
+#define EXPLAINED 0.5f /* the flow is followed if it leaves less than this part of the squared difference, ... */
+#define UNLIKE 0.0003f /* ... which must be more than this, ... */
+#define LONGEST_FLOW 48 /* ... if each way it is shorter than this part of the width, ... */
+#define SMOOTH 2.0f /* ... varies by less than this each way between neighbors, in pixels of level 0, ... */
+#define BENT 0.1f /* ... where inverse depth bends by less than this part between three pixels */
+#define INVERSE_DEPTH 6 /* planes of the network's frames */
+#define INPUT_MASK 7
+#define REST 0.5f /* input mask of static pixels that are not disoccluded */
 
-/* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2); and how far the detail of
-   brightness, within 2x2 pixels, is the same in both: texture of the surface, which a change of light leaves. */
+/* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2), this of level 0, too; and
+   how far the detail of brightness, within 2x2 pixels, is the same in both: texture of the surface, which a change of
+   light leaves. */
 WIDE __kernel void halve_frames(__constant Frame *restrict frame, __global const float *frames, __global float *colors,
-                                __global float *brightness, __global float *texture) {
+                                __global float *brightness0, __global float *brightness, __global float *texture) {
     const int fine = frame->network_width, width = fine / 2, height = frame->network_height / 2, plane = width * height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), count = width - x, at = y * width + x;
     if (x >= width || y >= height) return;
@@ -46,6 +56,9 @@ WIDE __kernel void halve_frames(__constant Frame *restrict frame, __global const
             for (int p = 0; p < 4; ++p) of_frames[which][p] += THIRD * part[p];
         }
         mean[which] = THIRD * sum;
+        for (int row = 0; row < 2; ++row)
+            store_some_xy(of_frames[which][2 * row], of_frames[which][2 * row + 1], count,
+                          (__global float2 *)(brightness0 + 4 * which * plane + (2 * y + row) * fine + 2 * x));
         store_some_floats(mean[which], count, brightness + which * plane + at);
     }
     Floats change = 0.0f, power = FAINT;
@@ -237,6 +250,30 @@ WIDE TILED __kernel void step_flow(__constant Frame *restrict frame, const int l
     }
 }
 
+/* Squared differences of brightness at pixels of an image of `fine` by `fine_height`, around a tile: in place and along
+   the flow. */
+INLINE void square_differences(__global const float *brightness, __local const float *near, const int fine,
+                               const int fine_height, __local float *still, __local float *along) {
+    for (int i = ITEM + 2 * PIXEL_CHUNKS; i < (PIXEL_ROWS - 2) * PIXEL_CHUNKS; i += ITEMS) {
+        const int row = i / PIXEL_CHUNKS, column = LANES * (i % PIXEL_CHUNKS);
+        const int x = 2 * TILE_X - PIXELS_AROUND + column, y = 2 * TILE_Y - PIXELS_AROUND + row;
+        if (y < 0 || y >= fine_height) continue;
+        Floats now, moved;
+        load_both(brightness, near, fine, fine_height, x, y, &now, &moved);
+        const Ints there = y * fine + clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(fine - 1));
+        const Floats in_place = gather_floats(brightness + fine * fine_height, there) - now, followed = moved - now;
+        store_floats(in_place * in_place, 0, still + row * PIXEL_PITCH + column);
+        store_floats(followed * followed, 0, along + row * PIXEL_PITCH + column);
+    }
+}
+
+/* Mean of such squares over the 2x2 pixels of those of the sums from `column` of `row` on. */
+INLINE Floats mean_of_pixels(__local const float *squares, const int row, const int column) {
+    __local const float *first = squares + (2 * row - 2 + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
+    const Pairs top = load_pairs(first), bottom = load_pairs(first + PIXEL_PITCH);
+    return 0.25f * (top.even + top.odd + bottom.even + bottom.odd);
+}
+
 /* Makes mean squared differences nearby, at level 2: means over 2x2 pixels of level 1 of the brightness of both frames,
    in place and along the flow; and of its change from the previous interval's, in place and along the flow. */
 WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __global const float *restrict brightness,
@@ -249,26 +286,13 @@ WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __gl
     load_flow(flow, false, width, height, near);
     barrier(CLK_LOCAL_MEM_FENCE);
 
-    for (int i = ITEM + 2 * PIXEL_CHUNKS; i < (PIXEL_ROWS - 2) * PIXEL_CHUNKS; i += ITEMS) {
-        const int row = i / PIXEL_CHUNKS, column = LANES * (i % PIXEL_CHUNKS);
-        const int x = 2 * TILE_X - PIXELS_AROUND + column, y = 2 * TILE_Y - PIXELS_AROUND + row;
-        if (y < 0 || y >= fine_height) continue;
-        Floats now, moved;
-        load_both(brightness, near, fine, fine_height, x, y, &now, &moved);
-        const Ints there = y * fine + clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(fine - 1));
-        const Floats in_place = gather_floats(brightness + 4 * plane, there) - now, followed = moved - now;
-        store_floats(in_place * in_place, 0, still + row * PIXEL_PITCH + column);
-        store_floats(followed * followed, 0, along + row * PIXEL_PITCH + column);
-    }
+    square_differences(brightness, near, fine, fine_height, still, along);
     barrier(CLK_LOCAL_MEM_FENCE);
 
     for (int i = ITEM; i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
         const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS), y = TILE_Y - 1 + row;
         if (y < 0 || y >= height) continue;
         const Ints x = clamp(TILE_X - 1 + column + LANE_NUMBERS, (Ints)(0), (Ints)(width - 1)), at = y * width + x;
-        const int first = (2 * row - 2 + PIXELS_AROUND) * PIXEL_PITCH + 2 * column - 2 + PIXELS_AROUND;
-        const Pairs still_top = load_pairs(still + first), still_bottom = load_pairs(still + first + PIXEL_PITCH);
-        const Pairs along_top = load_pairs(along + first), along_bottom = load_pairs(along + first + PIXEL_PITCH);
         Floats of_repeated[4];
         for (int part = 0; part < 4; ++part)
             of_repeated[part] = gather_floats(repeated, (2 * y + (part >> 1)) * fine + 2 * x + (part & 1));
@@ -279,9 +303,8 @@ WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __gl
         const Floats changed = gather_floats(coarser, at) - gather_floats(coarser + plane, at);
         const Floats again = changed - mean_of_quad(of_repeated), again_along = changed - sampled(repeated, &there);
         __local float *out = squares + row * SUM_PITCH + column;
-        store_floats(0.25f * (still_top.even + still_top.odd + still_bottom.even + still_bottom.odd), 0, out);
-        store_floats(0.25f * (along_top.even + along_top.odd + along_bottom.even + along_bottom.odd), 0,
-                     out + SUM_PLANE);
+        store_floats(mean_of_pixels(still, row, column), 0, out);
+        store_floats(mean_of_pixels(along, row, column), 0, out + SUM_PLANE);
         store_floats(again * again, 0, out + 2 * SUM_PLANE);
         store_floats(again_along * again_along, 0, out + 3 * SUM_PLANE);
     }
@@ -294,6 +317,95 @@ WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __gl
         for (int k = 0; k < DIFFERENCES; ++k)
             store_some_floats(mean_around(squares + k * SUM_PLANE, width, height, x, y), count,
                               differences + k * plane + at);
+    }
+}
+
+/* Whether inverse depth bends, or anything moves or is disoccluded, in the 2x2 pixels of level 0 that pixels from (x,
+   y) of level 1 on have. Inverse depth of a plane does not bend. */
+INLINE Ints is_rough(__global const float *frames, const int fine, const int fine_height, const int x, const int y) {
+    __global const float *inverse = frames + INVERSE_DEPTH * fine * fine_height;
+    __global const float *mask = frames + INPUT_MASK * fine * fine_height;
+    Ints rough = 0;
+    for (int part = 0; part < 4; ++part) {
+        const Ints column = 2 * (x + LANE_NUMBERS) + (part & 1);
+        const int row = 2 * y + (part >> 1), above = max(row - 1, 0), below = min(row + 1, fine_height - 1);
+        const Ints left = max(column - 1, (Ints)(0)), right = min(column + 1, (Ints)(fine - 1));
+        const Floats here = gather_floats(inverse, row * fine + column), most = BENT * here;
+        const Floats across =
+            gather_floats(inverse, row * fine + left) + gather_floats(inverse, row * fine + right) - 2.0f * here;
+        const Floats down =
+            gather_floats(inverse, above * fine + column) + gather_floats(inverse, below * fine + column) - 2.0f * here;
+        rough |= (fabs(across) > most) | (fabs(down) > most);
+        rough |= gather_floats(mask, row * fine + column) != REST;
+    }
+    return rough;
+}
+
+/* Whether the flow varies much among the 3x3 pixels around those of a tile from (x, y) on. */
+INLINE Ints varies(__local const float *near, const int x, const int y) {
+    Ints much = 0;
+    for (int axis = 0; axis < 2; ++axis) {
+        __local const float *first = near + axis * FLOW_PLANE + (y - 1 + AROUND) * FLOW_PITCH + x - 1 + AROUND;
+        Floats least = load_floats(0, first), most = least;
+        for (int k = 1; k < 9; ++k) {
+            const Floats other = load_floats(0, first + k / 3 * FLOW_PITCH + k % 3);
+            least = wide_lesser(least, other);
+            most = wide_greater(most, other);
+        }
+        much |= !(most - least < SMOOTH);
+    }
+    return much;
+}
+
+/* At level 1, 1 where the image is to follow the flow, else 0: the flow explains how the previous frame, warped along
+   motion vectors, became the new one, and these do not. `flow` is that of level 2. */
+WIDE TILED __kernel void find_followed(__constant Frame *restrict frame, __global const float *restrict frames,
+                                       __global const float *restrict brightness, __global const float *restrict flow,
+                                       __global const int *restrict changed, __global float *restrict followed) {
+    __local float near[2 * FLOW_PLANE], still[PIXELS], along[PIXELS], squares[2 * SUM_PLANE];
+    __local int unlike; /* whether both frames differ anywhere in the tile */
+    const int fine = frame->network_width, fine_height = frame->network_height;
+    const int width = fine / 2, height = fine_height / 2;
+    const float longest = (float)fine * (1.0f / LONGEST_FLOW);
+    if (ITEM == 0) unlike = 0;
+    barrier(CLK_LOCAL_MEM_FENCE);
+    for (int i = ITEM + 2 * PIXEL_CHUNKS; *changed && i < (PIXEL_ROWS - 2) * PIXEL_CHUNKS; i += ITEMS) {
+        const int x = 2 * TILE_X - PIXELS_AROUND + LANES * (i % PIXEL_CHUNKS),
+                  y = 2 * TILE_Y - PIXELS_AROUND + i / PIXEL_CHUNKS;
+        const Ints there = clamp(y, 0, fine_height - 1) * fine + clamp(x + LANE_NUMBERS, (Ints)(0), (Ints)(fine - 1));
+        const Floats change = gather_floats(brightness + fine * fine_height, there) - gather_floats(brightness, there);
+        if (ANY(change * change > UNLIKE)) atomic_or(&unlike, 1);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    if (unlike) load_flow(flow, true, width, height, near);
+    barrier(CLK_LOCAL_MEM_FENCE);
+    if (unlike) square_differences(brightness, near, fine, fine_height, still, along);
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (int i = ITEM; unlike && i < SUM_ROWS * SUM_CHUNKS; i += ITEMS) {
+        const int row = i / SUM_CHUNKS, column = LANES * (i % SUM_CHUNKS), y = TILE_Y - 1 + row;
+        if (y < 0 || y >= height) continue;
+        store_floats(mean_of_pixels(still, row, column), 0, squares + row * SUM_PITCH + column);
+        store_floats(mean_of_pixels(along, row, column), 0, squares + SUM_PLANE + row * SUM_PITCH + column);
+    }
+    barrier(CLK_LOCAL_MEM_FENCE);
+
+    for (int i = ITEM; i < CHUNKS(TILE_WIDTH) * TILE_HEIGHT; i += ITEMS) {
+        const int x = LANES * (i % CHUNKS(TILE_WIDTH)), y = i / CHUNKS(TILE_WIDTH);
+        const int count = width - TILE_X - x;
+        if (count <= 0 || TILE_Y + y >= height) continue;
+        Ints follows = 0;
+        if (unlike) {
+            const Floats in_place = mean_around(squares, width, height, x, y),
+                         moved = mean_around(squares + SUM_PLANE, width, height, x, y);
+            __local const float *here = near + (y + AROUND) * FLOW_PITCH + x + AROUND;
+            follows = (in_place > UNLIKE) & (moved < EXPLAINED * in_place);
+            follows &= (fabs(load_floats(0, here)) < longest) & (fabs(load_floats(0, here + FLOW_PLANE)) < longest);
+        }
+        if (ANY(follows)) follows &= !varies(near, x, y) & !is_rough(frames, fine, fine_height, TILE_X + x, TILE_Y + y);
+        store_some_floats(follows ? (Floats)(1.0f) : (Floats)(0.0f), count,
+                          followed + (TILE_Y + y) * width + TILE_X + x);
     }
 }
 

@@ -38,17 +38,22 @@ INLINE void compare(const int x, const int y, __constant Frame *frame, __global 
     }
     const float u = px.x - 0.5f - (float)left, v = px.y - 0.5f - (float)top;
     const Sharpening sharp[2] = {sharpening(0.0f, offset), sharpening(1.0f, offset)};
+    Floats wx[2][4];
+    float4 rows[2][4];
+    for (int k = 0; k < 2; ++k) {
+        Floats wy[4];
+        cubic_weights((Floats)(u), sharp[k].slope, wx[k]);
+        cubic_weights((Floats)(v), sharp[k].slope, wy);
+        leave_out_corners(wx[k], wy);
+        rows_of_lane(wy, 0, rows[k]);
+    }
     CubicSums made[2];
     for (int tx = 0; tx < 4; ++tx) {
         float4 taps[4];
         for (int ty = 0; ty < 4; ++ty)
             taps[ty] = (float4)(load_code(color_prev, first + ty * width + tx, offset), 0.0f);
-        for (int k = 0; k < 2; ++k) {
-            const float4 wx = cubic_weights(u, sharp[k].slope), wy = cubic_weights(v, sharp[k].slope);
-            const float4 rows[4] = {(float4)(wy.x), (float4)(wy.y), (float4)(wy.z), (float4)(wy.w)};
-            add_column(tx, taps[0], taps[1], taps[2], taps[3], (float4)(component_of(without_corners(wx, wy), tx)),
-                       rows, made + k);
-        }
+        for (int k = 0; k < 2; ++k)
+            add_column(tx, taps[0], taps[1], taps[2], taps[3], (float4)(float_of(&wx[k][tx], 0)), rows[k], made + k);
     }
     float3 codes[2];
     for (int k = 0; k < 2; ++k)
@@ -69,21 +74,21 @@ measure_sharpness(__constant Frame *restrict frame, __global const half *color, 
     const int width = frame->source_width, height = frame->source_height, item = get_local_id(0);
     const int columns = min(width, SAMPLES_EACH * SAMPLES_X), groups = min(height, SAMPLES_Y),
               rows = min(height, SAMPLES_EACH * groups);
-    if (!frame->has_previous) {
-        if (get_global_id(0) + get_global_id(1) == 0) evidence[EXPLAINED] = evidence[CHANGED] = *sharpness = 0.0f;
-        return;
-    }
     __local int of_group[2];
     if (item < 2) of_group[item] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     float sums[2] = {0.0f, 0.0f};
-    for (int row = get_global_id(1); row < rows; row += groups)
+    for (int row = get_global_id(1); frame->has_previous && row < rows; row += groups)
         for (int column = item; column < columns; column += SAMPLES_X)
             compare((2 * column + 1) * width / (2 * columns), (2 * row + 1) * height / (2 * rows), frame, color, depth,
                     motion, dynamic_mask, color_prev, depth_prev, sums);
     for (int k = 0; k < 2; ++k) atomic_add(of_group + k, (int)floor(UNIT * sums[k] + 0.5f));
     barrier(CLK_LOCAL_MEM_FENCE);
     if (item) return;
+    if (!frame->has_previous) {
+        if (get_global_id(1) == 0) evidence[EXPLAINED] = evidence[CHANGED] = *sharpness = 0.0f;
+        return;
+    }
     /* A group counts itself only by the values that its additions return: so the last one misses none. */
     const int explained = atomic_add(pending + EXPLAINED, of_group[EXPLAINED]),
               changed = atomic_add(pending + CHANGED, of_group[CHANGED]);

@@ -5,223 +5,19 @@
    apart are looked at; LANES of others are skipped at once. */
 
 #include "frame.h"
-#include "stencil.h"
 #include "flow.h"
 #include "blocks.h"
 #include "lists.h"
-#include "rgb9e5.h"
 #include "color_code.h"
+#include "layers.h"
 
 /* What set the thresholds: docs/deviations.md, "Silhouettes stay antialiased". */
-#define STEP 0.05f           /* relative step of inverse depth between two layers */
-#define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
 #define SAME_LAYER 0.85f     /* least ratio of the depths of fragments of one layer */
 #define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
 #define ALIKE 1.0f           /* ... and those from which one color is interpolated */
-#define AT_EDGE 0.05f        /* weight of colors at edges, which may be mixed, too */
-/* TOO_ALIKE: squared relative contrast of two layers below which colors only partly determine the coverage */
-#define TOO_ALIKE 0.03125f
-
-#define SHARES 255.0f         /* of a pixel, stored as a byte */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
 
-/* Values of `layer`: the pixel belongs to one of two layers around it that move apart. */
-#define NO_LAYER 0
-#define FAR 1
-#define NEAR 2
-
-#define ANYWHERE 100000000.0f /* px: fragments that go nowhere have targets beyond this */
-/* MARKED: px around a layer's fragments within which silhouettes are looked for; less than a block's sides */
-#define MARKED 3
-
-/* Weight of pixel k of 3x3 in the middle one's coverage: a pixel's area, filtered over two. */
-INLINE float tent(const int k) { return k == 4 ? 4.0f : (k & 1) ? 2.0f : 1.0f; }
-
 INLINE float3 not_negative(const float3 c) { return fmax(c, 0.0f); }
-
-/* ---- layers of the rendered frame ------------------------------------------------------------------------------ */
-
-/* The rendered frame, and where its fragments go. */
-typedef struct {
-    int width, height;
-    float2 zoom;
-    __global const float *target_position;
-    __global const half *codes;
-} Source;
-
-/* Depths of the 3x3 pixels around each of them, 0 outside of the image, and the depth halfway between the sides if
-   these are apart. */
-typedef struct {
-    Floats z[9], middle;
-} Depths;
-
-INLINE void load_depths(const Span p, __global const float *depth, Depths *d) {
-#pragma unroll
-    for (int k = 0; k < 9; ++k) d->z[k] = beside(p, depth, k % 3 - 1, k / 3 - 1);
-}
-
-/* Gives which of them lie at a step of depth. */
-INLINE Ints at_step(Depths *d) {
-    Floats nearest = INFINITY, farthest = 0.0f;
-#pragma unroll
-    for (int k = 0; k < 9; ++k) {
-        const Floats z = d->z[k];
-        nearest = ((z > 0.0f) & (z < nearest)) ? z : nearest;
-        farthest = z > farthest ? z : farthest;
-    }
-    const Ints step = nearest < (1.0f - STEP) * farthest;
-    if (ANY(step))
-        d->middle = 2.0f * nearest * (isinf(farthest) ? (Floats)(1.0f) : wide_divide(farthest, nearest + farthest));
-    return step;
-}
-
-/* Gives which of them have layers around, on both sides of d->middle, that move apart. */
-INLINE Ints layers_part(const Span p, const Source s, __global const float *depth, Depths *d) {
-    load_depths(p, depth, d);
-    const Ints step = at_step(d);
-    if (!ANY(step)) return step;
-    __global const float *to_x = s.target_position, *to_y = to_x + p.width * p.height;
-    const Floats x = beside(p, to_x, 0, 0), y = beside(p, to_y, 0, 0);
-    const Ints is_near = d->z[4] < d->middle;
-    Ints part = (Ints)(0);
-#pragma unroll
-    for (int k = 0; k < 9; ++k) {
-        const int dx = k % 3 - 1, dy = k / 3 - 1;
-        if (k == 4) continue;
-        const Floats ex = fabs(beside(p, to_x, dx, dy) - x - s.zoom.x * (float)dx);
-        const Floats ey = fabs(beside(p, to_y, dx, dy) - y - s.zoom.y * (float)dy);
-        part |= is_inside(p, dx, dy) & ((d->z[k] < d->middle) != is_near) & (d->z[k] > 0.0f) & (ex < ANYWHERE)
-                & ((ex > MOVES_APART) | (ey > MOVES_APART));
-    }
-    return step & part & (d->z[4] > 0.0f);
-}
-
-/* The nearer layer's share of pixels, and the color of the covered surface: where a pixel's color lies between the
-   mean colors of both layers around, as far as these differ; else from the pixels that each layer has. */
-INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links,
-                  Floats *behind, Floats *share) {
-    Strip near_sum, far_sum;
-    Floats near_area = 0.0f, area = 0.0f;
-#pragma unroll
-    for (int part = 0; part < PARTS; ++part) near_sum.part[part] = far_sum.part[part] = (Texels)(0.0f);
-#pragma unroll
-    for (int k = 0; k < 9; ++k) {
-        const int dx = k % 3 - 1, dy = k / 3 - 1;
-        const Ints is_near = d->z[k] < d->middle;
-        const Floats weight = (d->z[k] > 0.0f) & is_inside(p, dx, dy) ? (Floats)(tent(k)) : (Floats)(0.0f);
-        const Floats certain = bytes_beside(p, links, dx, dy) == ALL_LINKS ? weight : AT_EDGE * weight;
-        const Floats near_weight = is_near ? certain : (Floats)(0.0f), far_weight = is_near ? (Floats)(0.0f) : certain;
-        Strip c;
-        colors_beside(p, codes, dx, dy, &c);
-#pragma unroll
-        for (int part = 0; part < PARTS; ++part) {
-            near_sum.part[part] += OF_TEXELS(near_weight, part) * c.part[part];
-            far_sum.part[part] += OF_TEXELS(far_weight, part) * c.part[part];
-        }
-        near_area += is_near ? weight : (Floats)(0.0f);
-        area += weight;
-    }
-    const Ints is_near = d->z[4] < d->middle;
-    Strip own_strip;
-    colors_beside(p, codes, 0, 0, &own_strip);
-    Floats near[4], far[4], own[4];
-    channels_of(&near_sum, near);
-    channels_of(&far_sum, far);
-    channels_of(&own_strip, own);
-    const Floats per_near = wide_divide((Floats)(1.0f), near[3]), per_far = wide_divide((Floats)(1.0f), far[3]);
-    Floats size = 0.0f, squared = 0.0f, along = 0.0f;
-#pragma unroll
-    for (int c = 0; c < 3; ++c) {
-        near[c] *= per_near;
-        far[c] *= per_far;
-        size = fmax(size, fmax(near[c], far[c]));
-    }
-    const Floats scale = wide_divide((Floats)(1.0f), 1e-4f + size);
-#pragma unroll
-    for (int c = 0; c < 3; ++c) {
-        const Floats relative = (near[c] - far[c]) * scale;
-        squared += relative * relative;
-        along += (own[c] - far[c]) * scale * relative;
-    }
-    const Floats low = is_near ? (Floats)(0.5f) : (Floats)(0.0f);
-    const Floats by_color = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.0f);
-    const Floats trust = fmin(squared * (1.0f / TOO_ALIKE), 1.0f);
-    const Floats coverage = trust * by_color + (1.0f - trust) * wide_divide(near_area, area);
-#pragma unroll
-    for (int c = 0; c < 3; ++c) behind[c] = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
-    *share = coverage;
-}
-
-/* Marks the blocks around the pixel where a fragment goes. */
-INLINE void mark_around(const float2 px, const int width, const int height, __global uchar *marked) {
-    if (!(px.x > -(float)MARKED && px.y > -(float)MARKED && px.x < (float)(width + MARKED)
-          && px.y < (float)(height + MARKED)))
-        return;
-    for (int k = 0; k < 4; ++k) {
-        const int x = (int)px.x + ((k & 1) ? MARKED : -MARKED), y = (int)px.y + ((k >> 1) ? MARKED : -MARKED);
-        marked[block_of(clamp(x, 0, width - 1), clamp(y, 0, height - 1), width)] = 1;
-    }
-}
-
-/* Finds which layer each pixel belongs to, outside of smooth blocks, in which nothing moves apart; where it does, the
-   color of the far layer, `behind`, and the near one's `share` of the pixel. Marks the target blocks where they go;
-   they come unmarked. Empties the list of soft pixels. */
-WIDE __kernel void find_layers(__constant Frame *restrict frame, __global const float *depth,
-                               __global const uchar *links, __global const uchar *smooth,
-                               __global const float *target_position, __global const half *codes, __global uchar *layer,
-                               __global uint *behind, __global uchar *share, __global uchar *marked,
-                               __global uint *soft) {
-    if (get_global_id(0) + get_global_id(1) == 0) soft[0] = 0;
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const float2 zoom = frame->zoom;
-    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
-    if (src_x >= source_width || src_y >= source_height) return;
-    const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
-    if (smooth[block_of(src_x, src_y, source_width)]) {
-        store_some_bytes((Bytes)(NO_LAYER), count, layer + src);
-        return;
-    }
-    const Source s = {.width = source_width,
-                      .height = source_height,
-                      .zoom = zoom,
-                      .target_position = target_position,
-                      .codes = codes};
-    Span p = {src_x, src_y, source_width, source_height, false};
-    Depths d;
-    Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
-    Floats shares = 0.0f;
-    Floats colors[3] = {0.0f, 0.0f, 0.0f};
-    if (ANY(part)) {
-        if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
-            p.inner = true;
-            part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, codes, links, colors, &shares);
-        } else {
-            part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, codes, links, colors, &shares);
-        }
-    }
-    if (!ANY(part)) {
-        store_some_bytes((Bytes)(NO_LAYER), count, layer + src);
-        return;
-    }
-    const Ints side = d.z[4] < d.middle ? (Ints)(NEAR) : (Ints)(FAR);
-    store_some_bytes(to_bytes(part ? side : (Ints)(NO_LAYER)), count, layer + src);
-    int lane_part[LANES], lane_colors[LANES], lane_shares[LANES];
-    store_ints(part, 0, lane_part);
-    store_ints(pack_colors(colors[0], colors[1], colors[2]), 0, lane_colors);
-    store_ints(to_ints(SHARES * shares + 0.5f), 0, lane_shares);
-    for (int k = 0; k < min(count, LANES); ++k) {
-        if (!lane_part[k]) continue;
-        behind[src + k] = (uint)lane_colors[k];
-        share[src + k] = (uchar)lane_shares[k];
-        mark_around(position_of(target_position, src + k, source_width * source_height).xy, target_width, target_height,
-                    marked);
-    }
-}
-
-/* ---- the new frame ---------------------------------------------------------------------------------------------- */
 
 /* The new frame: every pixel shows the point of the rendered frame that its motion points to. */
 typedef struct {
@@ -477,9 +273,9 @@ INLINE Ints find_soft(const int dst_x, const int dst_y, const Source s, const La
 /* The group's pixels, a block after the other, so that one without a mark costs nothing; then those that are soft,
    which are gathered in `held`: (the near layer's place and depth, its far one << SOFT_BITS | number of the pixel). */
 #define SOFT_BITS 7 /* of the number of a work-item of a group, of 16x8 */
-INLINE void soften_group(const Source s, const Layers l, const Shown f, __global const uchar *marked,
-                         __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
-                         __local uint *shared) {
+INLINE void soften_pixels(const Source s, const Layers l, const Shown f, __global const uchar *marked,
+                          __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
+                          __local uint *shared) {
     const int item = get_local_id(1) * get_local_size(0) + get_local_id(0);
     const int group_x = get_global_id(0) - get_local_id(0), group_y = get_global_id(1) - get_local_id(1);
     const int block = item / (BLOCK_WIDTH * BLOCK_HEIGHT), of_block = item % (BLOCK_WIDTH * BLOCK_HEIGHT);
@@ -513,24 +309,27 @@ INLINE void soften_group(const Source s, const Layers l, const Shown f, __global
     append_lanes(covered != 0, (uint)dst, soft, shared);
 }
 #else
-/* The coverage of `count` pixels, at most LANES, and their new colors. */
-INLINE void soften_run(const int dst_x, const int dst_y, const int count, const Source s, const Layers l, const Shown f,
-                       __global uint *softened, uchar *coverage) {
+#define SOFT_BITS 0 /* nothing is shared */
+INLINE void soften_pixels(const Source s, const Layers l, const Shown f, __global const uchar *marked,
+                          __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
+                          __local uint *shared) {
+    (void)held, (void)shared;
+    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), count = min(f.width - dst_x, LANES);
+    if (dst_x >= f.width || dst_y >= f.height || !marked[block_of(dst_x, dst_y, f.width)]) return;
     LayerPairs pairs = {0.0f, 0.0f, 0.0f, (Ints)(0)};
     Ints paired;
     const Ints is_soft = find_soft(dst_x, dst_y, s, l, f, &pairs, &paired);
-    if (!ANY(is_soft)) return;
-    int lane_soft[LANES], lane_far[LANES];
-    float lane_x[LANES], lane_y[LANES], lane_z[LANES];
-    store_ints(is_soft, 0, lane_soft);
-    store_ints(paired ? pairs.far : (Ints)(0), 0, lane_far);
-    store_floats(pairs.near_x, 0, lane_x);
-    store_floats(pairs.near_y, 0, lane_y);
-    store_floats(pairs.near_z, 0, lane_z);
-    for (int k = 0; k < count; ++k)
-        if (lane_soft[k])
-            coverage[k] = soften_pixel(s, l, f, dst_x + k, dst_y, (float3)(lane_x[k], lane_y[k], lane_z[k]),
-                                       lane_far[k], softened);
+    Bytes covered = 0;
+    for (int k = 0; ANY(is_soft) && k < count; ++k) {
+        if (!int_of(&is_soft, k)) continue;
+        const float3 near =
+            (float3)(float_of(&pairs.near_x, k), float_of(&pairs.near_y, k), float_of(&pairs.near_z, k));
+        const int far = int_of(&paired, k) ? int_of(&pairs.far, k) : 0;
+        const uchar own = soften_pixel(s, l, f, dst_x + k, dst_y, near, far, softened);
+        set_byte(&covered, k, own);
+        if (own) append((uint)(dst_y * f.width + dst_x + k), soft);
+    }
+    store_some_bytes(covered, count, coverage + dst_y * f.width + dst_x);
 }
 #endif
 
@@ -556,20 +355,9 @@ LISTS __kernel void soften(__constant Frame *restrict frame, __global const ucha
                      .depth = depth,
                      .motion = motion,
                      .filled_by = filled_by};
-#if LANES == 1
     __local int4 held[1 << SOFT_BITS];
     __local uint shared[2];
-    soften_group(s, l, f, marked, softened, coverage, soft, held, shared);
-#else
-    const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), dst = dst_y * target_width + dst_x;
-    const int count = min(target_width - dst_x, LANES);
-    uchar own[LANES] = {0};
-    if (dst_x >= target_width || dst_y >= target_height || !marked[block_of(dst_x, dst_y, target_width)]) return;
-    soften_run(dst_x, dst_y, count, s, l, f, softened, own);
-    store_some_bytes(load_bytes(0, own), count, coverage + dst);
-    for (int k = 0; k < count; ++k)
-        if (own[k]) append((uint)(dst + k), soft);
-#endif
+    soften_pixels(s, l, f, marked, softened, coverage, soft, held, shared);
 }
 
 /* The new colors go to the frame. */

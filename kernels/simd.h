@@ -13,6 +13,7 @@
 #if LANES == 8
 
 #define WIDE __attribute__((vec_type_hint(float8)))  /* before a kernel: it is wide already */
+#define LISTS WIDE /* before one for all pixels that appends to a list: on GPUs their groups must be known */
 typedef float8 Floats;
 typedef int8 Ints;    /* of conditions: -1 or 0 */
 typedef uint8 Uints;
@@ -21,10 +22,8 @@ typedef uchar8 Bytes;
 #define ALL(condition) all(condition)
 #define load_floats vload8
 #define load_bytes vload8
-#define load_ints(i, p) vload8(i, p)
 #define load_uints(i, p) vload8(i, p)
 #define store_floats vstore8
-#define store_ints vstore8
 #define store_bytes vstore8
 #define store_halfs(v, i, p) vstore_half8_rte(v, i, p)
 #define to_floats convert_float8
@@ -36,13 +35,20 @@ typedef uchar8 Bytes;
 typedef float16 Pairs;       /* of numbers that follow one another: its .even and .odd are Floats */
 typedef uchar16 BytePairs;
 #define load_pairs(p) vload16(0, p)
+#define load_half_pairs(p) load_halfs16(p)
+/* The even and the odd numbers of two runs, the second of which follows the first. */
+#define EVEN_OF(first, second) ((float8)((first).even, (second).even))
+#define ODD_OF(first, second) ((float8)((first).odd, (second).odd))
 /* The left and the right taps of LANES pixels in an image of half the size, from the first left one on. */
 #define load_left_taps(p) (vload8(0, p).s01122334)
 #define load_right_taps(p) (vload8(0, p).s12233445)
+/* Numbers for LANES pixels of an image of twice the size, from column x on: each twice; of p and of q in turns. */
+#define load_doubled(p) (vload4(0, p).s00112233)
+#define load_in_turns(p, q, x) ((float8)(vload4(0, (p) + (x) / 2), vload4(0, (q) + (x) / 2)).s04152637)
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define ALL_LANES ((int8)(-1))
-#define load_two_texels(i, image) vload_half8(0, (image) + 4 * (i))
-#define load_four_texels(i, image) vload_half16(0, (image) + 4 * (i))
+#define load_two_texels(i, image) load_halfs8((image) + 4 * (i))
+#define load_four_texels(i, image) load_halfs16((image) + 4 * (i))
 #define FIRST_LANE(v) ((v).s0)
 #define LAST_LANE(v) ((v).s7)
 
@@ -51,9 +57,18 @@ typedef uchar16 BytePairs;
     ((p)[(i).s0], (p)[(i).s1], (p)[(i).s2], (p)[(i).s3], (p)[(i).s4], (p)[(i).s5], (p)[(i).s6], (p)[(i).s7])
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
-#define gather_halfs(p, i)                                                                                             \
-    ((float8)(vload_half((i).s0, p), vload_half((i).s1, p), vload_half((i).s2, p), vload_half((i).s3, p),              \
-              vload_half((i).s4, p), vload_half((i).s5, p), vload_half((i).s6, p), vload_half((i).s7, p)))
+
+/* Halves of any place. PoCL 3.1 takes the places that vload_half8 and vload_half16 get for aligned ones, as copies are.
+ */
+INLINE float8 load_halfs8(__global const half *p) {
+    const ushort8 bits = vload8(0, (__global const ushort *)p);
+    return vload_half8(0, (const half *)&bits);
+}
+
+INLINE float16 load_halfs16(__global const half *p) {
+    const ushort16 bits = vload16(0, (__global const ushort *)p);
+    return vload_half16(0, (const half *)&bits);
+}
 
 INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     const float16 xy = vload16(0, (__global const float *)p);
@@ -69,6 +84,7 @@ INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) {
 #else
 
 #define WIDE
+#define LISTS __attribute__((reqd_work_group_size(16, 8, 1)))
 typedef float Floats;
 typedef int Ints;     /* of conditions: 1 or 0 */
 typedef uint Uints;
@@ -77,10 +93,8 @@ typedef uchar Bytes;
 #define ALL(condition) ((condition) != 0)
 #define load_floats(i, p) ((p)[i])
 #define load_bytes(i, p) ((p)[i])
-#define load_ints(i, p) ((p)[i])
 #define load_uints(i, p) ((p)[i])
 #define store_floats(v, i, p) ((p)[i] = (v))
-#define store_ints(v, i, p) ((p)[i] = (v))
 #define store_bytes(v, i, p) ((p)[i] = (v))
 #define store_halfs(v, i, p) vstore_half_rte(v, i, p)
 #define to_floats convert_float
@@ -92,15 +106,19 @@ typedef uchar Bytes;
 typedef float2 Pairs;
 typedef uchar2 BytePairs;
 #define load_pairs(p) vload2(0, p)
+#define load_half_pairs(p) vload_half2(0, p)
+#define EVEN_OF(first, second) (first)
+#define ODD_OF(first, second) (second)
 #define load_left_taps(p) ((p)[0])
 #define load_right_taps(p) ((p)[1])
+#define load_doubled(p) ((p)[0])
+#define load_in_turns(p, q, x) (((x) & 1 ? q : p)[(x) / 2])
 #define LANE_NUMBERS 0
 #define ALL_LANES 1
 #define FIRST_LANE(v) (v)
 #define LAST_LANE(v) (v)
 #define gather_floats(p, i) ((p)[i])
 #define gather_bytes(p, i) ((p)[i])
-#define gather_halfs(p, i) vload_half(i, p)
 
 INLINE float8 load_two_texels(const int i, __global const half *image) {
     return (float8)(load_texel(i, image), load_texel(i + 1, image));
@@ -118,6 +136,14 @@ INLINE Floats load_xy(__global const float2 *p, Floats *y) {
 INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = (float2)(x, y); }
 
 #endif
+
+/* The number in lane k, for what is done lane by lane. */
+INLINE float float_of(const Floats *v, const int k) { return ((const float *)v)[k]; }
+INLINE int int_of(const Ints *v, const int k) { return ((const int *)v)[k]; }
+INLINE uint uint_of(const Uints *v, const int k) { return ((const uint *)v)[k]; }
+INLINE uchar byte_of(const Bytes *v, const int k) { return ((const uchar *)v)[k]; }
+INLINE void set_float(Floats *v, const int k, const float number) { ((float *)v)[k] = number; }
+INLINE void set_byte(Bytes *v, const int k, const uchar number) { ((uchar *)v)[k] = number; }
 
 /* The lesser and the greater of finite numbers: comparisons are cheaper than fmin and fmax, which must sort out NaN.
    If one is NaN, `wide_lesser` gives the second and `wide_greater` the first. */
@@ -175,9 +201,7 @@ INLINE void store_some_bytes(const Bytes v, const int count, __global uchar *p) 
         store_bytes(v, 0, p);
         return;
     }
-    uchar lanes[LANES];
-    store_bytes(v, 0, lanes);
-    for (int k = 0; k < count; ++k) p[k] = lanes[k];
+    for (int k = 0; k < count; ++k) p[k] = byte_of(&v, k);
 }
 
 INLINE void store_some_xy(const Floats x, const Floats y, const int count, __global float2 *p) {
@@ -185,10 +209,7 @@ INLINE void store_some_xy(const Floats x, const Floats y, const int count, __glo
         store_xy(x, y, p);
         return;
     }
-    float lanes_x[LANES], lanes_y[LANES];
-    store_floats(x, 0, lanes_x);
-    store_floats(y, 0, lanes_y);
-    for (int k = 0; k < count; ++k) p[k] = (float2)(lanes_x[k], lanes_y[k]);
+    for (int k = 0; k < count; ++k) p[k] = (float2)(float_of(&x, k), float_of(&y, k));
 }
 
 INLINE void store_some_floats(const Floats v, const int count, __global float *p) {
@@ -196,9 +217,7 @@ INLINE void store_some_floats(const Floats v, const int count, __global float *p
         store_floats(v, 0, p);
         return;
     }
-    float lanes[LANES];
-    store_floats(v, 0, lanes);
-    for (int k = 0; k < count; ++k) p[k] = lanes[k];
+    for (int k = 0; k < count; ++k) p[k] = float_of(&v, k);
 }
 
 INLINE void store_some_halfs(const Floats v, const int count, __global half *p) {
@@ -206,9 +225,7 @@ INLINE void store_some_halfs(const Floats v, const int count, __global half *p) 
         store_halfs(v, 0, p);
         return;
     }
-    float lanes[LANES];
-    store_floats(v, 0, lanes);
-    for (int k = 0; k < count; ++k) vstore_half_rte(lanes[k], k, p);
+    for (int k = 0; k < count; ++k) vstore_half_rte(float_of(&v, k), k, p);
 }
 
 /* x + 0.5 of each lane's pixel. */

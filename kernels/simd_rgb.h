@@ -13,21 +13,6 @@ INLINE WideRgb finite_rgb(const WideRgb c) {
     return rgb;
 }
 
-/* Colors of the pixels i. */
-INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
-    int pixel[LANES];
-    float r[LANES], g[LANES], b[LANES];
-    store_ints(i, 0, pixel);
-    for (int k = 0; k < LANES; ++k) {
-        const float4 c = load_texel(pixel[k], color);
-        r[k] = c.x;
-        g[k] = c.y;
-        b[k] = c.z;
-    }
-    const WideRgb rgb = {load_floats(0, r), load_floats(0, g), load_floats(0, b)};
-    return rgb;
-}
-
 #if LANES == 8
 
 INLINE void copy_rgb_run(__global const half *color, __global half *out) {
@@ -42,14 +27,30 @@ typedef float16 Texels;
 #define OF_TEXELS(v, part)                                                                                             \
     ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number of each pixel for its channels */
 #define ALL_TEXELS(condition) all(condition)
-#define load_texels(i, p) vload_half16(i, p)
+#define load_texels(i, p) load_four_texels(4 * (i), p)
 #define reload_texels(i, p) vload16(i, p)
 #define unload_texels(v, i, p) vstore16(v, i, p)
+#define load_loose_texels(p) load_halfs16(p) /* of halves that may not be aligned */
+#define to_texels convert_float16
+#define THREE_TO_FOUR(v) ((v).s0120345067809ab0) /* three numbers after the other, each as a texel */
+/* Whether a condition holds for all lanes of a part; and the pixels that would follow each part's first one in a row.
+ */
+#define ALL_OF_PART(condition, part) all((part) ? (condition).hi : (condition).lo)
+#define ROWS_OF_PARTS(pixels) ((int8)((int4)((pixels).s0), (int4)((pixels).s4 - 4)) + LANE_NUMBERS)
 
 DEFINE_FINITE(Texels, finite_texels)
 
 INLINE void store_texels(const Texels c, const int i, __global half *color) {
     vstore_half16_rte(finite_texels(c), i, color);
+}
+
+/* The texels of a part of LANES pixels anywhere, which may lie `in_row`. */
+INLINE Texels gather_texels(__global const half *image, const Ints i, const int part, const bool in_row) {
+    __global const ulong *texels = (__global const ulong *)image;
+    const int4 at = part ? i.hi : i.lo;
+    const ulong4 four =
+        in_row ? vload4(0, texels + at.x) : (ulong4)(texels[at.x], texels[at.y], texels[at.z], texels[at.w]);
+    return vload_half16(0, (const half *)&four);
 }
 
 #else
@@ -67,8 +68,14 @@ typedef float4 Texels;
 #define load_texels(i, p) load_texel(i, p)
 #define reload_texels(i, p) vload4(i, p)
 #define unload_texels(v, i, p) vstore4(v, i, p)
+#define load_loose_texels(p) vload_half4(0, p)
+#define to_texels convert_float4
+#define THREE_TO_FOUR(v) (v)
+#define ALL_OF_PART(condition, part) ((condition) != 0)
+#define ROWS_OF_PARTS(pixels) (pixels)
 #define finite_texels finite_texel
 #define store_texels store_texel
+#define gather_texels(image, i, part, in_row) load_texel(i, image)
 
 #endif
 
@@ -103,6 +110,21 @@ INLINE Strip strip_of(const Floats x, const Floats y, const Floats z, const Floa
     s.part[0] = (float4)(x, y, z, w);
 #endif
     return s;
+}
+
+INLINE void gather_strip(__global const half *image, const Ints i, Strip *s) {
+#pragma unroll
+    for (int part = 0; part < PARTS; ++part) s->part[part] = gather_texels(image, i, part, false);
+}
+
+/* Colors of the pixels i. */
+INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
+    Strip s;
+    Floats c[4];
+    gather_strip(color, i, &s);
+    channels_of(&s, c);
+    const WideRgb rgb = {c[0], c[1], c[2]};
+    return rgb;
 }
 
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of simd.h. */

@@ -1,4 +1,4 @@
-/* LANES pixels of an image and their surroundings (silhouettes.cl). */
+/* LANES pixels of an image and their surroundings. */
 
 #include "simd_rgb.h"
 
@@ -7,6 +7,11 @@ typedef struct {
     int x, y, width, height;
     bool inner;
 } Span;
+
+INLINE Span span_at(const int x, const int y, const int width, const int height) {
+    const Span p = {x, y, width, height, x >= 1 && y >= 1 && x + LANES < width && y + 1 < height};
+    return p;
+}
 
 /* Whether the pixels (dx, dy) from them are in the image, where these are; if not all, the nearest that are. */
 INLINE Ints is_inside(const Span p, const int dx, const int dy) {
@@ -39,15 +44,12 @@ INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx
 
 /* Texels of a half image, unchecked. */
 INLINE void texels_beside(const Span p, __global const half *image, const int dx, const int dy, Strip *c) {
-    float texels[4 * LANES];
     if (!p.inner) {
-        int pixel[LANES];
-        store_ints(clamped_beside(p, dx, dy), 0, pixel);
-        for (int k = 0; k < LANES; ++k) vstore4(load_texel(pixel[k], image), k, texels);
+        gather_strip(image, clamped_beside(p, dx, dy), c);
+        return;
     }
 #pragma unroll
-    for (int part = 0; part < PARTS; ++part)
-        c->part[part] = p.inner ? load_texels(part, image + 4 * first_beside(p, dx, dy)) : reload_texels(part, texels);
+    for (int part = 0; part < PARTS; ++part) c->part[part] = load_texels(part, image + 4 * first_beside(p, dx, dy));
 }
 
 /* Colors without negative values and NaN, and 1 as a fourth channel. */

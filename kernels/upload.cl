@@ -44,9 +44,7 @@ INLINE int run_x(const int width, const int k) {
 /* Counts those of the first `count` lanes for which a condition holds. */
 INLINE int lanes_where(const Ints condition, const int count) {
     int number = 0;
-    uchar lanes[LANES];
-    store_bytes(to_bytes(condition ? (Ints)(1) : (Ints)(0)), 0, lanes);
-    for (int k = 0; k < min(count, LANES); ++k) number += lanes[k];
+    for (int k = 0; k < min(count, LANES); ++k) number += int_of(&condition, k) != 0;
     return number;
 }
 
@@ -91,43 +89,33 @@ INLINE float given_value(__global const float *given, const int type, const int 
     return type == UNORM8 || type == UNORM16 ? stored * color_unit(type) : stored;
 }
 
-#if LANES == 8
-/* Four texels with 0 in their fourth channels. */
-INLINE float16 rgb_of(const float16 texels) {
-    const int4 rgb = (int4)(-1, -1, -1, 0);
-    return as_float16(as_int16(texels) & (int16)(rgb, rgb, rgb, rgb));
-}
-
-INLINE float16 given_16(__global const float *given, const int type, const int i) {
+/* Values from value i on, as many as the texels of a part have. */
+INLINE Texels given_texels(__global const float *given, const int type, const int i) {
     switch (type) {
     case FLOAT16:
-        return vload_half16(0, (__global const half *)given + i);
+        return load_loose_texels((__global const half *)given + i);
     case UNORM8:
-        return convert_float16(vload16(0, (__global const uchar *)given + i)) * color_unit(type);
+        return to_texels(reload_texels(0, (__global const uchar *)given + i)) * color_unit(type);
     case UNORM16:
-        return convert_float16(vload16(0, (__global const ushort *)given + i)) * color_unit(type);
+        return to_texels(reload_texels(0, (__global const ushort *)given + i)) * color_unit(type);
     default:
-        return vload16(0, given + i);
+        return reload_texels(0, given + i);
     }
 }
-#endif
 
 /* LANES pixels from pixel i on, of which the image has `count` or more: RGB, and 0. */
 INLINE void load_given(__global const float *given, const int type, const int channels, const int i, const int count,
                        Strip *s) {
-#if LANES == 8
-    if (count >= LANES && channels == 4) {
-        s->part[0] = rgb_of(given_16(given, type, 4 * i));
-        s->part[1] = rgb_of(given_16(given, type, 4 * i + 16));
+    const bool read_beyond = channels == 3; /* a third of the texels of a part */
+    if (read_beyond ? LANES > 1 && count >= LANES + 2 : IS_WHOLE(count)) {
+#pragma unroll
+        for (int part = 0; part < PARTS; ++part) {
+            const Texels values = given_texels(given, type, channels * (i + part * TEXELS));
+            s->part[part] = read_beyond ? THREE_TO_FOUR(values) : values;
+            VALID(s->part[part]) = 0.0f;
+        }
         return;
     }
-    if (count >= LANES) {
-        const float16 first = given_16(given, type, 3 * i), last = given_16(given, type, 3 * i + 8);
-        s->part[0] = rgb_of(first.s0120345067809ab0);
-        s->part[1] = rgb_of(last.s45607890abc0def0);
-        return;
-    }
-#endif
     float texels[4 * LANES];
     for (int k = 0; k < LANES; ++k) {
         const int first = channels * (i + min(k, count - 1));
@@ -138,9 +126,9 @@ INLINE void load_given(__global const float *given, const int type, const int ch
 }
 
 /* NaN counts as 0; infinities and values beyond half are clamped. */
-INLINE void take(__constant Frame *frame, __global const float *given, const int type, const int channels,
+INLINE void take(const int width, const int height, __global const float *given, const int type, const int channels,
                  __global half *color, __global uchar *bad_pixels) {
-    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
+    const int y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     int infinite = 0, clamped = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
@@ -164,21 +152,22 @@ INLINE void take(__constant Frame *frame, __global const float *given, const int
     store_counts(width, height, infinite, clamped, bad_pixels);
 }
 
-WIDE __kernel void take_floats(__constant Frame *restrict frame, __global const float *given, const int start,
+WIDE __kernel void take_floats(const int width, const int height, __global const float *given, const int start,
                                const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(frame, given + start, FLOAT32, channels, color, bad_pixels);
+    take(width, height, given + start, FLOAT32, channels, color, bad_pixels);
 }
 
-WIDE __kernel void take_halves(__constant Frame *restrict frame, __global const half *given, const int start,
+WIDE __kernel void take_halves(const int width, const int height, __global const half *given, const int start,
                                const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(frame, (__global const float *)(given + start), FLOAT16, channels, color, bad_pixels);
+    take(width, height, (__global const float *)(given + start), FLOAT16, channels, color, bad_pixels);
 }
 
 /* Color of any type that a description allows, on its way from host or device. */
 WIDE __kernel void convert_color(__constant Frame *restrict frame, __global const uchar *given, const int start,
                                  __global half *color, __global uchar *bad_pixels) {
     const int type = frame->given_types.x;
-    take(frame, given_from(given, type, start), type, frame->given_channels.x, color, bad_pixels);
+    take(frame->source_width, frame->source_height, given_from(given, type, start), type, frame->given_channels.x,
+         color, bad_pixels);
 }
 
 /* Bad is depth that is NaN, not positive or denormal. Finite depth beyond DEPTH_MOST becomes sky. */
@@ -208,18 +197,15 @@ INLINE void check_motion(Floats *x, Floats *y, const int count, const float diag
     }
 }
 
-INLINE float diagonal_squared_of(__constant Frame *frame) {
-    const float width = frame->source_width, height = frame->source_height;
-    return width * width + height * height;
-}
+INLINE float diagonal_squared_of(const float width, const float height) { return width * width + height * height; }
 
 /* Input and output may be the same buffer. */
-WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global const float *given_depth,
+WIDE __kernel void take_geometry(const int width, const int height, __global const float *given_depth,
                                  const int depth_start, __global const float *given_motion, const int motion_start,
                                  __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
-    const int width = frame->source_width, height = frame->source_height, y = get_global_id(1);
+    const int y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
-    const float diagonal_squared = diagonal_squared_of(frame);
+    const float diagonal_squared = diagonal_squared_of(width, height);
     int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
         const int x = run_x(width, k), count = width - x, i = y * width + x;
@@ -237,13 +223,11 @@ WIDE __kernel void take_geometry(__constant Frame *restrict frame, __global cons
 
 /* Values i, i + step ... as they are stored, for the first `count` lanes; others repeat the last. */
 INLINE Floats load_stored(__global const float *given, const int type, const int i, const int step, const int count) {
-#if LANES == 8
-    if (count >= LANES && step == 1) {
-        if (type == FLOAT32) return vload8(0, given + i);
-        if (type == UNORM16) return convert_float8(vload8(0, (__global const ushort *)given + i));
-        if (type == UNORM24) return convert_float8(vload8(0, (__global const uint *)given + i) & 0xffffff);
+    if (LANES > 1 && count >= LANES && step == 1) {
+        if (type == FLOAT32) return load_floats(0, given + i);
+        if (type == UNORM16) return to_floats(load_uints(0, (__global const ushort *)given + i));
+        if (type == UNORM24) return to_floats(load_uints(0, (__global const uint *)given + i) & 0xffffff);
     }
-#endif
     float lanes[LANES];
     for (int k = 0; k < LANES; ++k) lanes[k] = stored_value(given, type, i + step * min(k, count - 1));
     return load_floats(0, lanes);
@@ -252,14 +236,12 @@ INLINE Floats load_stored(__global const float *given, const int type, const int
 /* Stored x and y of motion from pixel i on. */
 INLINE Floats load_stored_xy(__global const float *given, const int type, const int channels, const int i,
                              const int count, Floats *y) {
-#if LANES == 8
-    if (count >= LANES && channels == 2 && (type == FLOAT32 || type == FLOAT16)) {
-        const float16 xy =
-            type == FLOAT32 ? vload16(0, given + 2 * i) : vload_half16(0, (__global const half *)given + 2 * i);
+    if (IS_WHOLE(count) && channels == 2 && (type == FLOAT32 || type == FLOAT16)) {
+        const Pairs xy =
+            type == FLOAT32 ? load_pairs(given + 2 * i) : load_half_pairs((__global const half *)given + 2 * i);
         *y = xy.odd;
         return xy.even;
     }
-#endif
     *y = load_stored(given, type, channels * i + 1, channels, count);
     return load_stored(given, type, channels * i, channels, count);
 }
@@ -307,7 +289,7 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
     __global const float *depths = given_from(given_depth, depth_type, depth_start);
     __global const float *vectors = given_from(given_motion, motion_type, motion_start);
     const float4 numbers = frame->given_motion;  /* factors and addends of x and y */
-    const float diagonal_squared = diagonal_squared_of(frame);
+    const float diagonal_squared = diagonal_squared_of(frame->source_width, frame->source_height);
     int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
         const int x = run_x(width, k), count = width - x, i = y * width + x;
@@ -502,27 +484,16 @@ WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global co
     }
     sum_z = isinf(z) ? z : sum_z;
     if (!ALL(smooth)) {
-        float lanes_z[LANES], lanes_x[LANES], lanes_y[LANES], lanes_u[LANES], lanes_v[LANES];
-        int is_smooth[LANES], indices[4][LANES];
-        store_floats(sum_z, 0, lanes_z);
-        store_floats(sum_x, 0, lanes_x);
-        store_floats(sum_y, 0, lanes_y);
-        store_floats(u, 0, lanes_u);
-        store_floats(v, 0, lanes_v);
-        store_ints(smooth, 0, is_smooth);
-        for (int tap = 0; tap < 4; ++tap) store_ints(taps[tap], 0, indices[tap]);
         for (int k = 0; k < min(count, LANES); ++k) {
-            if (is_smooth[k]) continue;
-            const int4 around = (int4)(indices[0][k], indices[1][k], indices[2][k], indices[3][k]);
+            if (int_of(&smooth, k)) continue;
+            const int4 around =
+                (int4)(int_of(&taps[0], k), int_of(&taps[1], k), int_of(&taps[2], k), int_of(&taps[3], k));
             const float3 found = geometry_at_edge(frame, color, small_depth, small_motion, y * width + x + k, around,
-                                                  lanes_u[k], lanes_v[k]);
-            lanes_z[k] = found.x;
-            lanes_x[k] = found.y;
-            lanes_y[k] = found.z;
+                                                  float_of(&u, k), float_of(&v, k));
+            set_float(&sum_z, k, found.x);
+            set_float(&sum_x, k, found.y);
+            set_float(&sum_y, k, found.z);
         }
-        sum_z = load_floats(0, lanes_z);
-        sum_x = load_floats(0, lanes_x);
-        sum_y = load_floats(0, lanes_y);
     }
     store_some_floats(sum_z, count, depth + y * width + x);
     store_some_xy(sum_x, sum_y, count, motion + y * width + x);

@@ -4,22 +4,20 @@
    them. Colors are linear in `color` and `history`; blending and bounds are in YCoCg of tone-mapped color
    ("compressed").
 
-   name             image     what in         color            render    the rendered frame depth, motion    render
-   its depth, and its motion into the render image before previous_depth   render    of the rendered frame before
-   between    compressed       render    its color, compressed; A: share of its place that was not hidden before
-   dilated          render    motion of the nearest surface around; NaN where nothing is known surprise
-   render    how far the color is beyond the history around, compressed; A: 1 where there is any mean
-   render    of 3x3 compressed colors; A: error of the history, in deviations deviation        render    theirs; A:
-   by how much more light there is than in the history state      history          display   color, linear:
-   displayed; A: number of accumulated samples lock             display   frames in which it foretold the samples, at
-   rest; more: a thin feature out        rejected         display   which share of the history was not believed
-   out_color        display   a generated frame, seen through the history */
+   Of the rendered frame, at render size: `compressed` color, the share of its place that was not hidden before as its
+   fourth channel; `dilated` motion, of the nearest surface around, NaN where nothing is known; the `surprise`, which is
+   how far the color is beyond the history around, and 1 where there is any; of 3x3 compressed colors the `mean`, and
+   the history's error in deviations, and the `deviation`, and how much more light there is than in the history.
+
+   At the display's size: the `history`, linear color that is displayed, and the number of its samples; the `lock`,
+   frames in which it foretold the samples at rest, more for a thin feature; the `rejected` share of the history. */
 
 #include "frame.h"
 #include "stencil.h"
 #include "simd_texels.h"
 #include "sample_filter.h"
 
+/* What set the thresholds: docs/upscaling.md, "Figures". */
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
 /* LEAST_SHOWN: of the displayed color until samples arrive; with a lighter history, samples count less, too */
@@ -107,13 +105,11 @@ INLINE Floats share_seen(const Floats px_x, const Floats px_y, const Floats expe
 /* c within the least and the most of the 2x2 texels of an image around px. */
 INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, const int width, const int height,
                           __global const half *image) {
-    int left[LANES], top[LANES];
+    const Ints left = to_ints(floor(px_x - 0.5f)), top = to_ints(floor(px_y - 0.5f));
     float low[4 * LANES], high[4 * LANES];
-    store_ints(to_ints(floor(px_x - 0.5f)), 0, left);
-    store_ints(to_ints(floor(px_y - 0.5f)), 0, top);
     for (int k = 0; k < LANES; ++k) {
-        const float8 a = two_texels(image, left[k], top[k], width, height),
-                     b = two_texels(image, left[k], top[k] + 1, width, height);
+        const int x = int_of(&left, k), y = int_of(&top, k);
+        const float8 a = two_texels(image, x, y, width, height), b = two_texels(image, x, y + 1, width, height);
         const float8 least = a < b ? a : b, most = a < b ? b : a;
         vstore4(least.lo < least.hi ? least.lo : least.hi, k, low);
         vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);
@@ -138,8 +134,7 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
     const int has_history = frame->has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (x >= source_width || y >= source_height) return;
-    const Span p = {x, y, source_width, source_height,
-                    x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
+    const Span p = span_at(x, y, source_width, source_height);
     Ints near_x, near_y;
     const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
     const Ints nearest = near_y * source_width + near_x;
@@ -206,8 +201,7 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (x >= source_width || y >= source_height) return;
-    const Span p = {x, y, source_width, source_height,
-                    x >= 1 && y >= 1 && x + LANES < source_width && y + 1 < source_height};
+    const Span p = span_at(x, y, source_width, source_height);
     const float ninth = 1.0f / 9.0f;
     Floats middle[4], square[4], off[4], off_square[4], variance[3];
     sums_beside(p, compressed, middle, square);
@@ -360,8 +354,7 @@ WIDE __kernel void generate(__constant Frame *restrict frame, const int correcte
     const float4 to_shown = frame->to_display;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
     if (x >= target_width || y >= target_height) return;
-    const Span p = {x, y, target_width, target_height,
-                    x >= 1 && y >= 1 && x + LANES < target_width && y + 1 < target_height};
+    const Span p = span_at(x, y, target_width, target_height);
     Ints near_x, near_y;
     const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
     const Ints nearest = near_y * target_width + near_x;

@@ -4,11 +4,12 @@
    and the same surface, there or where it comes to, has clearly another color. Over PAIRS pairs of frames, in which
    the place never changes, and with others around, that is a user interface.
 
-   in   rendered and previous color, depth   rendered motion   given_mask: of the caller
-   out   evidence: pairs that gave some   mask: 1 where the rendered pixel stays in place */
+   `evidence` counts the pairs that gave some, `given_mask` is the caller's, `mask` is 1 where the rendered pixel stays
+   in place. */
 
 #include "frame.h"
 
+/* What set the thresholds: docs/hud.md, "Measured". */
 #define PAIRS 2            /* pairs of frames that must give evidence */
 #define LEAST_MARKED 8            /* pixels with so many, of the 5x5 around, make a user interface */
 #define MARKED_AROUND 2           /* px: of these 5x5 */

@@ -8,6 +8,7 @@
 #include "nearest.h"
 #include "flow.h"
 #include "blocks.h"
+#include "layers.h"
 #include "lists.h"
 #include "thresholds.h"
 
@@ -75,15 +76,10 @@ INLINE Ints tile_within(const Floats x, const Floats y, const Boxes box) {
    `middle`. */
 INLINE void offer_tile(const Ints covers, const Ints middle, const Floats z, const int src, const int width,
                        const Winners to, const int pass) {
-    int lane_covers[LANES], lane_middle[LANES];
-    float lane_z[LANES];
-    store_ints(covers, 0, lane_covers);
-    store_ints(middle, 0, lane_middle);
-    store_floats(z, 0, lane_z);
     for (int lane = 0; lane < LANES; ++lane)
-        for (int left = lane_covers[lane]; left; left &= left - 1) {
+        for (int left = int_of(&covers, lane); left; left &= left - 1) {
             const int k = 31 - clz(left & -left), dy = (k * 11) >> 5, dx = k - 3 * dy;
-            offer(pass, to.keys, to.winners, lane_middle[lane] + (dy - 1) * width + dx - 1, lane_z[lane],
+            offer(pass, to.keys, to.winners, int_of(&middle, lane) + (dy - 1) * width + dx - 1, float_of(&z, lane),
                   (uint)(src + lane));
         }
 }
@@ -139,26 +135,23 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
     return false;
 }
 
-/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Empties the list
-   of open pixels. */
+/* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Finds layers for
+   silhouettes, too, which need the same positions. Empties the lists of open and of soft pixels. */
 WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
                          __global const uchar *links, __global const float *target_position,
-                         __global const short4 *reach, __global const uchar *block_class, __global Key *keys,
-                         __global uint *winners, __global uint *open) {
+                         __global const short4 *reach, __global const uchar *block_class, __global const uchar *smooth,
+                         __global const half *codes, __global Key *keys, __global uint *winners, __global uchar *layer,
+                         __global uint *behind, __global uchar *share, __global uchar *marked, __global uint *open,
+                         __global uint *soft) {
     const int width = frame->source_width, height = frame->source_height;
-    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = 0;
-    const Fragments from = {.depth = depth,
-                            .target_position = target_position,
-                            .links = links,
-                            .width = width,
-                            .height = height,
-                            .plane = width * height,
-                            .target_width = frame->target_width,
-                            .target_height = frame->target_height,
-                            .zoom = frame->zoom};
+    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = soft[0] = 0;
+    const Fragments from = fragments_of(frame, depth, target_position, links);
     const Winners to = {keys, winners};
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
     if (src_x >= width || src_y >= height) return;
+    const FoundLayers layers = {.layer = layer, .behind = behind, .share = share, .marked = marked};
+    if (frame->softens && pass == 0)
+        find_layers(src_x, src_y, frame, depth, links, smooth, target_position, codes, layers);
     if (frame->blocks && frame->crack_closing
         && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame->target_width, block_class))
         return;
@@ -400,20 +393,12 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global uchar *mixed, __global uint *open) {
     const int width = frame->source_width, height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments from = {.depth = depth,
-                            .target_position = target_position,
-                            .links = links,
-                            .width = width,
-                            .height = height,
-                            .plane = width * height,
-                            .target_width = target_width,
-                            .target_height = target_height,
-                            .zoom = frame->zoom};
+    const Fragments from = fragments_of(frame, depth, target_position, links);
     const Rendered shown = {.color = color,
                             .codes = codes,
                             .dynamic_mask = dynamic_mask,
                             .code_offset = frame->code_offset,
-                            .sharpening = sharpening_of(*sharpness, frame)};
+                            .sharpening = sharpening_of(sharpness, frame)};
     const Winners winning = {keys, winners};
     const NewFrame to = {.color = out_color,
                          .depth = out_depth,
@@ -447,12 +432,8 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
         }
         resample_lanes(samples, won.exist, width, shown, dst, out_color);
     }
-    if (ANY(entries != NOBODY)) {
-        uint lane_entry[LANES];
-        store_ints(entries, 0, lane_entry);
-        for (int k = 0; k < LANES; ++k)
-            if (lane_entry[k] != NOBODY) leave_open(lane_entry[k], winning, to, unfilled_label);
-    }
+    for (int k = 0; ANY(entries != NOBODY) && k < LANES; ++k)
+        if (uint_of(&entries, k) != NOBODY) leave_open(uint_of(&entries, k), winning, to, unfilled_label);
     __local uint shared[2];
     append_lanes(entries != NOBODY, entries, open, shared);
 }

@@ -5,6 +5,7 @@
 #include "simd_rgb.h"
 #include "thresholds.h"
 
+/* What set the thresholds: docs/deviations.md, "Previous frame only where its surface was shown". */
 #define LEAST_WEIGHT 0.25f /* of the taps that show the surface */
 #define MASK_DYNAMIC 1.0f
 #define MASK_DISOCCLUDED 0.0f

@@ -84,11 +84,11 @@ def test_options_that_prose_names_exist():
     others |= {"--cases", "--minutes", "--arguments", "--measure", "--tables", "--scenes"}  # of scripts in docs
     others |= {"--setup", "--rocm", "--old"}  # of gpu_compilers.py and compare_speed.py in docs/tools
     others |= {"--offscreen", "--rate", "--shown", "--game", "--variable", "--rendering", "--making"}  # of the examples
-    others |= {"--uneven", "--stall", "--resize", "--cut", "--lose", "--compare"}
+    others |= {"--uneven", "--stall", "--resize", "--cut", "--lose", "--load", "--compare"}
     others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
-    others |= {"--nthreads"}  # of Dask's workers
     others |= {"--from", "--no-deps"}  # of uvx and pip
-    others |= {"--build", *RENAMED, "--sharpening"}  # of CMake; older names, and what the changelog has removed
+    others |= {"--build", *RENAMED}  # of CMake; older names
+    others |= {"--sharpening", "--scheduler"}  # that the changelog has removed
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
     for name, text in TEXTS.items():

@@ -5,7 +5,7 @@
     python docs/examples/panda3d_live.py --offscreen --measure --frames 12 --json figures.json
 
 The mouse moves the camera. Keys: G generation, N network, V adaptive window on and off; L next layer; C cut;
-X lose the next rendered frame. docs/tutorial_live.md explains each part.
+X lose the next rendered frame. docs/tutorial_live.md explains each part, docs/threads.md why there is one thread.
 """
 
 from json import dumps

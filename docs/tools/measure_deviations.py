@@ -101,7 +101,10 @@ GAE: dict[str, Change] = {
     "nothing is collected after a reset": Change(
         edits={
             "connectivity.cl": {"if (!collect) return;": ""},
-            "background.cl": {"if (!frame->has_previous) {": "if (false) {"},
+            "background.cl": {
+                "from_level != level || !frame->has_previous": "from_level != level",
+                "if (!frame->has_previous) return;": "",
+            },
         }
     ),
     "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),
@@ -148,7 +151,7 @@ GAE: dict[str, Change] = {
 # Beyond the paper, each a module with an option of its own.
 PARTS = ("silhouettes stay antialiased", "hidden parts of movers", "movers' acceleration goes on")
 ENTERING = Change({"entering": False})
-CARRIED = Change(constants={"acceleration.cl": {"IN_VIEW": "0.0f", "STILL_IN_VIEW": "0.0f"}})
+CARRIED = Change(constants={"acceleration.h": {"IN_VIEW": "0.0f", "STILL_IN_VIEW": "0.0f"}})
 CAMERA_FIXED = Change({"camera_fixed": False})  # worth something only on "cab" and "wipers"
 PAPER = CAMERA_FIXED
 for change in GAE.values():

@@ -7,7 +7,6 @@ import math
 import os
 import sys
 import time
-from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -23,7 +22,6 @@ from gffe_cl.engine.core.validation import is_number
 
 if TYPE_CHECKING:
     from gffe_cl.captures.sequence.encoding import Encoding
-    from gffe_cl.engine.opencl.remote_workers import Cluster
 
 app = typer.Typer(
     help="G-buffer free frame extrapolation: makes the frames after the ones your renderer has finished.",
@@ -56,25 +54,6 @@ FollowLinksOption = Annotated[
         callback=follow_links_everywhere,  # nothing else is done with it
     ),
 ]
-
-SchedulerOption = Annotated[
-    str | None, typer.Option("--scheduler", help="Dask cluster to compute on, by address: tcp://HOST:8786.")
-]
-
-
-@contextmanager
-def cluster_at(address: str | None) -> Iterator[Cluster | None]:
-    """Yield the cluster of --scheduler during the block; None without one. Raises GffeError."""
-    if not address:
-        yield None
-        return
-    from gffe_cl.engine.opencl.remote_workers import Cluster
-
-    cluster = Cluster(address)
-    try:
-        yield cluster
-    finally:
-        cluster.close()
 
 
 def output_file(option: str):

@@ -17,9 +17,7 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     DeviceOption,
     FollowLinksOption,
-    SchedulerOption,
     app,
-    cluster_at,
     out,
     parse_numbers,
     parse_size,
@@ -32,10 +30,9 @@ from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import write_text
 
 if TYPE_CHECKING:
-    from gffe_cl.engine.opencl.remote_workers import Cluster
     from gffe_cl.lab.table.datasets import Subject
     from gffe_cl.lab.table.results import Column
-    from gffe_cl.lab.table.runner import Executor, Filled
+    from gffe_cl.lab.table.runner import Filled
 
 TURNS = (0.5, 1.0, 2.0, 4.0)  # degrees
 
@@ -123,7 +120,6 @@ def evaluate(
             "--late-warp", help="Late warp: also measure rendered frames that are shown from a turned camera."
         ),
     ] = False,
-    scheduler: SchedulerOption = None,
     fresh: Annotated[bool, typer.Option("--fresh", help="Finished cells: compute them again.")] = False,
     device: DeviceOption = None,
     follow_links: FollowLinksOption = False,
@@ -151,7 +147,7 @@ def evaluate(
     words = tuple(methods.split(",")) if methods else None
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
-    with _filling(output, device, scheduler) as fill:
+    with _filling(output, device) as fill:
         filled = fill("Measuring", TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network))
         built_in = [s for s in chosen if isinstance(s, SceneSubject)]
         late = {}
@@ -229,26 +225,17 @@ def _folder(path: Path) -> Path:
 
 
 @contextmanager
-def _filling(output: Path, device: str | None, scheduler: str | None):
+def _filling(output: Path, device: str | None):
     """Yield a function that fills a table of cells cached in `output`, with a progress bar and an estimate of the time
     left."""
     from gffe_cl.lab.table.runner import fill
 
-    with cluster_at(scheduler) as workers, progress_bars() as bars:
-        executor = _executor(workers)
+    with progress_bars() as bars:
 
         def filled(text: str, order) -> Filled:
-            return fill(order, output / "cells", device, executor, partial(steps(bars), text))
+            return fill(order, output / "cells", device, partial(steps(bars), text))
 
         yield filled
-
-
-def _executor(workers: Cluster | None) -> Executor | None:
-    if not workers:
-        return None
-    from gffe_cl.lab.table.cluster import executor_of
-
-    return executor_of(workers)
 
 
 def _write(output: Path, results: dict, filled: Filled) -> None:

@@ -11,9 +11,7 @@ from gffe_cl.cli.common import (
     CompressionOption,
     DeviceOption,
     EncodeOption,
-    SchedulerOption,
     app,
-    cluster_at,
     out,
     parse_encoding,
     parse_size,
@@ -66,7 +64,6 @@ def render(
     ] = 1.0,
     encode: EncodeOption = None,
     compression: CompressionOption = "zip",
-    scheduler: SchedulerOption = None,
     device: DeviceOption = None,
 ) -> None:
     """Render a built-in scene to a sequence: color, depth, motion vectors and cameras.
@@ -81,13 +78,12 @@ def render(
 
     width, height = parse_size(size)
     built, jittered, encoding = load_scene(scene, seed), Jitter.parse(jitter), parse_encoding(encode)
-    with cluster_at(scheduler) as workers, progress_bars() as progress:
-        opened = None if workers else open_device(device)
-        total = frames * (1 + per_frame * ground_truth)
+    with progress_bars() as progress:
+        opened, total = open_device(device), frames * (1 + per_frame * ground_truth)
         count = render_sequence(
             built, output, opened, width, height, frames, fps,
             ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, jitter=jittered,
-            scale=scale, encoding=encoding, compression=compression, cluster=workers,
+            scale=scale, encoding=encoding, compression=compression,
             on_frame=steps(progress)(f"Rendering '{scene}'", total),
         )  # fmt: skip
     out.print(f"{count} frames in {plain(output)}")

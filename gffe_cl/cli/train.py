@@ -14,9 +14,7 @@ import typer
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
-    SchedulerOption,
     app,
-    cluster_at,
     duration,
     input_file,
     out,
@@ -80,7 +78,6 @@ def train(
             help="Weights of VGG-19 for the perceptual loss: torchvision's vgg19-*.pth.", callback=input_file("--vgg")
         ),
     ] = None,
-    scheduler: SchedulerOption = None,
     device: DeviceOption = None,
     json_path: JsonOption = None,
 ) -> None:
@@ -123,9 +120,7 @@ def train(
                 plan.clip(made, wanted, processes.count)
 
             part = processes.rank, processes.count
-            with cluster_at(scheduler) as workers:
-                opened = None if workers else open_device(device)
-                make_clips(data, opened, seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS, workers)
+            make_clips(data, open_device(device), seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS)
             processes.any(False)  # all have made theirs
             if data_only:
                 if processes.first:

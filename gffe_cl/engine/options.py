@@ -46,6 +46,7 @@ class Option:
     off_flag : of the command line, short for the value `off`
     remembered : by the viewer, from one start to the next
     needs : another option, a module, without which it has no effect
+    rests : of a module, whether it can be off for some frames: nothing that others keep depends on it
     """
 
     name: str = ""
@@ -67,6 +68,7 @@ class Option:
     off_flag: str | None = None
     remembered: bool = True
     needs: str | None = None
+    rests: bool = False
 
     @property
     def is_module(self) -> bool:
@@ -257,6 +259,13 @@ class Options:
         },
         flag="--resampling",
     )
+    sharpness: bool = _option(
+        True,
+        "sharpness",
+        "Sharpness of interpolated edges, as measured on rendered frames; off: plain cubic interpolation, which softens"
+        " them.",
+        flag="--no-sharpness",
+    )
     crack_closing: bool = _option(
         True,
         "crack closing",
@@ -276,6 +285,7 @@ class Options:
         "Filling of disocclusions from a moving object whose own motion explains them; off: from the background.",
         flag="--no-hidden-parts",
         needs="motion",
+        rests=True,
     )
     reappearing: bool = _option(
         True,
@@ -284,6 +294,7 @@ class Options:
         " behind them stays in view.",
         flag="--no-reappearing",
         needs="hidden_parts",
+        rests=True,
     )
     levels: int = _option(
         1,
@@ -350,12 +361,21 @@ class Options:
         off=False,
         automatic="auto: if there are weights",
         flag="--scn/--no-scn",
+        rests=True,
     )
     focus_mask: bool = _option(
         True,
         "focus mask",
         "Changes only where the network finds the shading wrong; off: the network's whole image.",
         flag="--no-focus-mask",
+        needs="shading_correction",
+    )
+    image_flow: bool = _option(
+        True,
+        "image flow",
+        "Effects without depth, shadows and reflections: moved half way along the flow of the image where that explains"
+        " the last frames and motion vectors do not; off: they move with the surface behind.",
+        flag="--no-image-flow",
         needs="shading_correction",
     )
     scn_model: str | None = _option(
@@ -444,6 +464,14 @@ class Options:
 
 
 OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name) for f in fields(Options)}
+
+
+def is_part_of(options: Options, made: Options) -> bool:
+    """Return whether a pipeline made with the options `made` needs no other buffers for `options`: some of its modules
+    rest. Upscaling reads the corrected image, so nothing rests beside it."""
+    different = [name for name in OPTIONS if getattr(options, name) != getattr(made, name)]
+    can_rest = all(OPTIONS[name].rests and getattr(options, name) is False for name in different)
+    return can_rest and not (different and options.upscale)
 
 
 def command_words(options: Options) -> list[str]:

@@ -7,10 +7,7 @@
    warp: each pixel looks its color up backward along its vector, bilinear. A pixel without one takes that of the
    nearest surface beside: what a surface uncovers is what was seen beside it. Else it keeps the rendered frame's own.
 
-   name      image    what in         color, depth, motion      of the rendered frame
-   keys,
-   winners            what the splat leaves: the least depth that reached each pixel, and its word
-   out_color          linear: the new frame */
+   `keys` and `winners` are what the splat leaves: the least depth that reached each pixel, and its word. */
 
 #include "../common.h"
 #include "../simd_texels.h"
@@ -45,20 +42,6 @@ INLINE float2 filling_vector(__global const Key *keys, __global const uint *winn
     return (float2)(own.x == own.x ? own.x : 0.0f, own.y == own.y ? own.y : 0.0f);
 }
 
-/* TEXELS texels of the pixels i, which may lie `in_row`. Not by vload_half16: PoCL 3.1 makes an
-   aligned load of it here. */
-INLINE Texels texels_at(__global const half *color, const int *i, const bool in_row) {
-#if LANES == 8
-    __global const ulong *texels = (__global const ulong *)color;
-    const ulong4 four =
-        in_row ? vload4(0, texels + i[0]) : (ulong4)(texels[i[0]], texels[i[1]], texels[i[2]], texels[i[3]]);
-    return load_texels(0, (const half *)&four);
-#else
-    (void)in_row;
-    return load_texels(i[0], color);
-#endif
-}
-
 /* LANES pixels per work-item. */
 WIDE __kernel void warp(const int width, const int height, const float alpha, __global const Key *keys,
                         __global const uint *winners, __global const float2 *motion, __global const half *color,
@@ -68,19 +51,12 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
     const Uints word = load_some_winners(count, keys, winners, dst);
     Floats move_x = component(word & 0xFFFFu), move_y = component(word >> 16);
     if (ANY(word == NOBODY)) {
-        uint lane_word[LANES];
-        float lane_x[LANES], lane_y[LANES];
-        store_ints(word, 0, lane_word);
-        store_floats(move_x, 0, lane_x);
-        store_floats(move_y, 0, lane_y);
         for (int k = 0; k < min(LANES, count); ++k) {
-            if (lane_word[k] != NOBODY) continue;
+            if (uint_of(&word, k) != NOBODY) continue;
             const float2 move = filling_vector(keys, winners, motion, x + k, y, width, height, alpha);
-            lane_x[k] = move.x;
-            lane_y[k] = move.y;
+            set_float(&move_x, k, move.x);
+            set_float(&move_y, k, move.y);
         }
-        move_x = load_floats(0, lane_x);
-        move_y = load_floats(0, lane_y);
     }
     const Floats px_x =
         wide_greater(wide_lesser(to_floats(x + LANE_NUMBERS) - move_x, (Floats)((float)(width - 1))), (Floats)(0.0f));
@@ -88,11 +64,7 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
     const Ints left = to_ints(px_x), right = min(left + 1, (Ints)(width - 1));
     const Ints row = to_ints(px_y), top = row * width, bottom = min(row + 1, (Ints)(height - 1)) * width;
     const bool in_row = ALL((row == FIRST_LANE(row)) & (left == FIRST_LANE(left) + LANE_NUMBERS) & (right > left));
-    int taps[4 * LANES];
-    store_ints(top + left, 0, taps);
-    store_ints(top + right, 1, taps);
-    store_ints(bottom + left, 2, taps);
-    store_ints(bottom + right, 3, taps);
+    const Ints taps[4] = {top + left, top + right, bottom + left, bottom + right};
     const Floats across = px_x - to_floats(left), down = px_y - to_floats(row);
     Strip made;
 #pragma unroll
@@ -100,7 +72,7 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
         const Texels u = OF_TEXELS(across, part), v = OF_TEXELS(down, part);
         Texels c[4];
 #pragma unroll
-        for (int k = 0; k < 4; ++k) c[k] = texels_at(color, taps + k * LANES + part * TEXELS, in_row);
+        for (int k = 0; k < 4; ++k) c[k] = gather_texels(color, taps[k], part, in_row);
         made.part[part] = (1.0f - v) * ((1.0f - u) * c[0] + u * c[1]) + v * ((1.0f - u) * c[2] + u * c[3]);
     }
     store_strip(made, count, out_color + 4 * dst);

@@ -19,7 +19,6 @@ from gffe_cl.engine.core import errors
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import only_process, replacing
 from gffe_cl.engine.export import writing
-from gffe_cl.engine.opencl.remote_workers import Cluster
 from gffe_cl.engine.options import Options
 from gffe_cl.lab.table import runner
 from gffe_cl.lab.table.datasets import SceneSubject
@@ -58,14 +57,6 @@ def test_closed_streams(streams, tmp_path):
     command = f"{shlex.quote(sys.executable)} -m gffe_cl formats --json {shlex.quote(str(report))} {streams}"
     child = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert child.returncode == 0 and not child.stderr and json.loads(report.read_text())["formats"]
-
-
-def test_addresses_of_schedulers_are_told_apart_from_others():
-    """Before anybody waits for an answer."""
-    pytest.importorskip("distributed", reason="needs dask")
-    for address in ("-1", "/dev/null", "tcp://", "host"):
-        with pytest.raises(GffeError, match="is no address"):
-            Cluster(address)
 
 
 def test_long_messages_keep_what_matters():
@@ -131,7 +122,7 @@ def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
         return Cell({"frames": []}, {}, {"machine": "A", "milliseconds": 1.0})
 
     monkeypatch.setattr(runner, "compute_cell", cell)
-    monkeypatch.setattr(runner, "_machine", lambda *_: "A")
+    monkeypatch.setattr(runner, "machine_of", lambda *_: "A")
     subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
     broken = [1]
     filled = runner.fill(runner.TableOrder(subjects, ("repeat",)), tmp_path)

@@ -55,13 +55,17 @@ def test_frames_gain_over_repeating(program, tmp_path):
         assert (tmp_path / f"{name}.ppm").stat().st_size == 3 * 161 * 91 + len("P6\n161 91\n255\n")
 
 
-def test_shared_memory_gives_the_same_bits(program, tmp_path):
+@pytest.mark.parametrize(("semaphores", "waits"), [("without", 3), ("with", 1)])
+def test_shared_memory_gives_the_same_bits(program, tmp_path, semaphores, waits):
+    """With semaphores the host waits only for the picture that it reads."""
     driver = tmp_path / "driver.so"
     subprocess.run(["cc", "-shared", "-fPIC", STAND_IN, "-o", driver, "-lvulkan", "-ldl"], check=True)
-    found = ran(program, tmp_path, "--frames", "8", "--compare", LD_PRELOAD=str(driver))
+    more = {"WITHOUT_SEMAPHORES": "1"} if semaphores == "without" else {}
+    found = ran(program, tmp_path, "--frames", "8", "--compare", LD_PRELOAD=str(driver), **more)
     if "shared" not in found.stdout:
         pytest.skip("this Vulkan device exports no memory by descriptors")
     assert found.returncode == 0 and found.stdout.endswith("the same bits both ways\n"), found.stdout + found.stderr
+    assert f"the host waits {waits} times a frame, {semaphores} semaphores" in found.stdout
 
 
 def test_faults_are_one_line(program, tmp_path):

@@ -1,4 +1,4 @@
-"""The table of `gffe eval`: subjects, methods, cells that are kept, the command, the cluster."""
+"""The table of `gffe eval`: subjects, methods, cells that are kept, the command."""
 
 import json
 import os
@@ -17,11 +17,10 @@ from frame_models import network
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.engine.opencl import remote_workers
 from gffe_cl.lab.metrics.regions import REGIONS
 from gffe_cl.lab.table import cache, results, runner
 from gffe_cl.lab.table.datasets import FolderSubject, SceneSubject, Shot, at_full_size, parse_subject
-from gffe_cl.lab.table.jobs import Cell
+from gffe_cl.lab.table.jobs import Cell, compute_cell
 from gffe_cl.lab.table.methods import GAINS, METHODS, chosen_methods
 from gffe_cl.lab.table.page import page
 from gffe_cl.lab.table.runner import TableOrder, fill
@@ -159,11 +158,9 @@ def _same_as_compare(gffe, tmp_path, sequence, cell):
         (("room", "--alpha", "0,0.5"), "--alpha must be different numbers within 0 and 8"),
         (("room", "--frames", 2), "--frames must be 4 to 10000"),
         (("room", "--onnx", "net"), "expected NAME=FILE"),
-        (("room", "--scheduler", "tcp://127.0.0.1:9"), "--scheduler"),
     ],
 )
-def test_eval_says_what_is_wrong(gffe, tmp_path, arguments, words, monkeypatch):
-    monkeypatch.setattr(remote_workers, "PATIENCE", "0.2s")
+def test_eval_says_what_is_wrong(gffe, tmp_path, arguments, words):
     code, _, err = gffe("eval", *arguments, "--out", tmp_path / "report", "--size", "32x32")
     assert code == 2 and words in " ".join(err.split()) and not (tmp_path / "report" / "index.html").exists()
 
@@ -182,15 +179,15 @@ def test_an_interrupt_leaves_finished_cells(tmp_path, monkeypatch):
     order = TableOrder((subject,), ("repeat", "motion-vectors", "guided"))
     done = []
 
-    def stops(items, arguments):
-        for work in items:
-            if len(done) == 2:
-                raise KeyboardInterrupt
-            done.append(work.method)
-            yield work, runner.compute_cell(work.subject, work.method, **arguments)
+    def stops(subject, method, **arguments):
+        if len(done) == 2:
+            raise KeyboardInterrupt
+        done.append(method)
+        return compute_cell(subject, method, **arguments)
 
-    with pytest.raises(KeyboardInterrupt):
-        fill(order, tmp_path, executor=stops)
+    with monkeypatch.context() as interrupted, pytest.raises(KeyboardInterrupt):
+        interrupted.setattr(runner, "compute_cell", stops)
+        fill(order, tmp_path)
     assert done == [None, "repeat"]
     assert len(list(tmp_path.glob("*.json"))) == 3  # two cells, one of them timed
     filled = fill(order, tmp_path)
@@ -225,44 +222,6 @@ def test_a_killed_command_leaves_finished_cells(tmp_path):
     kept = cache.Cache(cells)
     names = [path.stem for path in cells.glob("*.json") if not path.name.endswith(".time.json")]
     assert len(names) >= 2 and all(kept.read(name) for name in names)
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_a_cluster_gives_the_same_cells(tmp_path):
-    """Two workers, one of which is killed on the way: nothing is lost, nothing is counted twice."""
-    distributed = pytest.importorskip("distributed", reason="needs dask")
-    from gffe_cl.lab.table.cluster import executor_of
-
-    subjects = tuple(SceneSubject(name, 0, 64, 36, 4, 30.0, (0.5,)) for name in ("room", "forest"))
-    order = TableOrder(subjects, ("static-reprojection", "motion-vectors", "guided", "repeat"))
-    with distributed.LocalCluster(
-        n_workers=2, threads_per_worker=1, processes=True, dashboard_address=None, host="127.0.0.1"
-    ) as local:
-        compute, seen = executor_of(remote_workers.Cluster(local.scheduler_address)), []
-
-        def killing(items, arguments):
-            for work, cell in compute(items, arguments):
-                seen.append(work)
-                if len(seen) == 1:
-                    os.kill(next(iter(local.workers.values())).pid, signal.SIGKILL)
-                yield work, cell
-
-        with pytest.raises(GffeError, match="another version"):  # these tests hide the weights, workers have them
-            fill(TableOrder(subjects[:1], ("gffe",)), tmp_path / "other", executor=compute)
-        steps = []
-        far = fill(order, tmp_path / "far", executor=killing, on_plan=lambda total: lambda: steps.append(total))
-    assert len(seen) == len(set(seen)) == far.computed == 2 * 5 and len(steps) == steps[0] == 2 * 2 * 4
-    near = fill(order, tmp_path / "near")
-    for place, cell in near.cells.items():
-        other = far.cells[place].document
-        assert np.allclose(
-            [frame["psnr"] for frame in other["frames"]],
-            [frame["psnr"] for frame in cell.document["frames"]],
-            atol=1e-3,
-        )
-        assert other["errors"]["pixels"] == cell.document["errors"]["pixels"]
-    assert fill(order, tmp_path / "far").computed == 0
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js to run the page's script")

@@ -51,20 +51,20 @@ class Falling(Rect):
         return super().at(time) + np.array((6.0, 9.0, 0.0)) * time**2
 
 
+WALL = Rect((0, 0, 14), (9, 20), frequency=0.12)
 SCENE = Rects(
     [
-        Rect((0, 0, 14), (9, 20), frequency=0.12),
+        WALL,
         Rect((-2.2, 0.3, 6), (0.6, 1), frequency=0.5, tint=(0.6, 0.3, 0.1)),
         Falling((0.2, -0.8, 4), (0.5, 0.4), velocity=(2, 0.5, -1), frequency=0.8, tint=(0.2, 0.5, 0.3)),
     ]
 )
-BARRED = Rects(
-    [
-        Rect((0, 0, 14), (9, 20), frequency=0.12),
-        Rect((-0.8, 0, 8), (1.2, 0.8), velocity=(5, 0, 0), frequency=0.1),
-        *(Rect((x, 0, 4), (0.06, 3), frequency=0.2) for x in np.arange(-1.5, 1.6, 0.5)),
-    ]
-)
+BARRED = [Rect((x, 0, 4), (0.06, 3), frequency=0.2) for x in np.arange(-1.5, 1.6, 0.5)]
+SCENES = {
+    "": SCENE,
+    "barred": Rects([WALL, Rect((-0.8, 0, 8), (1.2, 0.8), velocity=(5, 0, 0), frequency=0.1), *BARRED]),
+    "entering": Rects([WALL, Rect((-4.4, 1.8, 6), (1.0, 1.2), velocity=(18, 0, 0), frequency=0.1)]),
+}
 MOVER = 2
 
 
@@ -74,11 +74,11 @@ def pose(at):
 
 
 @functools.cache
-def frames(barred=False):
+def frames(scene=""):
     made = []
     for k in range(COUNT):
         before = (pose(k - 1), (k - 1) / FPS) if k else None
-        made.append((BARRED if barred else SCENE).frame(pose(k), k / FPS, W, H, before, reset=k == 0))
+        made.append(SCENES[scene].frame(pose(k), k / FPS, W, H, before, reset=k == 0))
     return made
 
 
@@ -115,6 +115,17 @@ class Clip(FrameSource):
 
     def time(self, k, alpha=0.0):
         return k / FPS + alpha * (k / FPS - (k - 1) / FPS if k else 1 / FPS)
+
+
+class SceneClip(Clip):
+    """Frames of another scene."""
+
+    def __init__(self, scene):
+        super().__init__()
+        self.scene = scene
+
+    def rendered(self, k):
+        return frames(self.scene)[k]
 
 
 class FadingClip(Clip):
@@ -1044,10 +1055,12 @@ def test_stories_of_holes_and_of_the_background(device):
         assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)
 
 
-def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device):
-    """The pixels that are named give the depth that is shown, and each stage before tells what it looked at."""
-    setup, checked = Setup(Options(levels=0)), 0
-    with running(device, Clip()) as engine:
+@pytest.mark.parametrize("scene", ["", "barred"])
+def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene):
+    """The pixels that are named, past bars too, give the depth that is shown, and each stage before tells what it
+    looked at."""
+    setup, checked, past = Setup(Options(levels=0)), 0, 0
+    with running(device, SceneClip(scene)) as engine:
         images = ask(engine, 13, setup, ("frame.depth", "frame.dynamic", "final")).images
         for story in stories(engine, setup, 13, lambda i: i["frame.filled_by"] == 255, 30):
             (taken,) = (step for step in story.sentences if "The result is (" in step)
@@ -1064,32 +1077,40 @@ def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device):
             inverse = [1 / images["frame.depth"][py, px] for px, py in beside]
             assert images["frame.depth"][y, x] == pytest.approx(1 / np.average(inverse, weights=weights), rel=1e-3)
             checked += 1
-        assert checked > 5
+            past += " in front at depth " in taken
+        assert checked > 5 and (past > 1 or not scene)
+        if scene:
+            return
         remembering = stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 255)
         told = [step for story in remembering for step in story.sentences if "The background left it" in step]
         assert len(told) == len(remembering)
         assert any("nothing is remembered" in step or "none lands here" in step for step in told)
 
 
-class BarredClip(Clip):
-    """A mover behind bars."""
-
-    def rendered(self, k):
-        return frames(barred=True)[k]
-
-
 def test_stories_of_hidden_parts(device):
     """They tell of the bar that hid the mover."""
-    with running(device, BarredClip()) as engine:
+    with running(device, SceneClip("barred")) as engine:
         told = stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 250)
         assert all(s.filled_by == "hidden part of a mover" and "with its motion" in s.sentences[0] for s in told)
         bars = [float(s.sentences[1].split("shows depth ")[1].split(" ")[0]) for s in told]
         assert max(bars) < 6 and all("depth here is" in s.sentences[1] for s in told)
 
 
+def test_stories_of_movers_that_enter(device):
+    """They name the pixel that is repeated: straight inward or, in a corner, from the other border."""
+    with running(device, SceneClip("entering")) as engine:
+        images = ask(engine, 9, Setup(), ("frame.depth", "frame.motion")).images
+        told = stories(engine, Setup(), 9, lambda i: i["frame.filled_by"] == 250)
+        assert {"in a corner" in story.sentences[0] for story in told} == {True, False}
+        for story in told:
+            (x, y), (px, py) = story.pixel, story.sentences[0].links[1].pixel
+            assert "left border" in story.sentences[0] and "outside of rendered frame" in story.sentences[1]
+            assert all((image[y, x] == image[py, px]).all() for image in images.values())
+
+
 def test_stories_of_parts_that_reappear(device):
     """They lead to the mover in the frame before, and soft silhouettes are not named as the only cause."""
-    with running(device, BarredClip()) as engine:
+    with running(device, SceneClip("barred")) as engine:
         told = stories(engine, Setup(n=3), 31, lambda i: i["frame.filled_by"] == 252)
         before = ask(engine, 24, Setup(n=3), ("rendered.depth",)).images["rendered.depth"]
         for story in told:

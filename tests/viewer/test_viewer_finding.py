@@ -8,7 +8,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from gffe_cl import Options
+from gffe_cl import GffeError, Options
 from gffe_cl.captures.scenes import load_scene
 from gffe_cl.captures.scenes.render import render_sequence
 from gffe_cl.engine.frame.camera import Camera
@@ -36,12 +36,14 @@ from gffe_cl.viewer.engine.store import Store, Want
 from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
 from gffe_cl.viewer.picture.disocclusions import Disocclusions
 from gffe_cl.viewer.picture.displays import Display
+from gffe_cl.viewer.picture.files import save_json
 from gffe_cl.viewer.picture.invalid import InvalidPixels
 from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
 from gffe_cl.viewer.picture.legends import Legend, legend
 from gffe_cl.viewer.picture.selection import statistics
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.picture.worst_pixels import worst_pixels
+from gffe_cl.viewer.state.baseline import Baseline
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Side, Survey
 
@@ -439,3 +441,28 @@ def test_legends_under_saved_pictures():
         assert len(found) > len(with_legends(picture, more[:1])) > 30
         lines = [with_legends(picture, [Entry("wide words " * count, Legend("none"))]) for count in (1, 30)]
         assert lines[1].shape[1] == lines[0].shape[1] and len(lines[1]) > len(lines[0]), "long lines are broken"
+
+
+def test_a_stored_baseline_is_b(tmp_path):
+    """Its figures, also by region, stand beside A's by the time of the frame; nothing is measured for it."""
+    surveying, survey = surveyed()
+    expected, parts = survey.means("psnr")[0], survey.parts()[0]
+    survey.update(surveying.a, None, 1.0, True)
+    save_json(path := tmp_path / "baseline.json", survey.document())
+    survey.baseline = Baseline.load(path)
+    assert survey.update(surveying.b, None, 1.0, True) == [] and survey.progress == (8, 8)
+    stored, known = survey.figures(survey.b), survey.figures(surveying.a)
+    assert {slot: of.values for slot, of in stored.items()} == {s: of.values for s, of in known.items() if of.values}
+    assert survey.means("psnr") == ({"A": expected["B"], "B": expected["A"]}, 7)
+    assert survey.parts()[0]["B"]["rest"].psnr == pytest.approx(parts["A"]["rest"].psnr)
+    assert survey.most_different() is not None
+    survey.forget()
+    survey.update(surveying.b, None, 1.0, True)
+    assert survey.b is None
+    path.write_text('{"mean": {}, "frames": [{"time": 0.0501, "psnr": 30.5, "ssim": null, "counted": true}]}')
+    (found,) = Baseline.load(path).by_slot(Playback(count=8)).items()
+    assert found == (3, Figures({"psnr": 30.5})), "what gffe compare --json writes"
+    for damaged in ("", "[]", '{"frames": [{"time": "0"}]}', '{"frames": [{"time": 0, "psnr": "x"}]}'):
+        path.write_text(damaged)
+        with pytest.raises(GffeError, match=r"no stored figures \(expected those of the viewer or of gffe compare\)"):
+            Baseline.load(path)

@@ -13,7 +13,7 @@ import foreign_files
 import imageio_ffmpeg
 import numpy as np
 import pytest
-from hypothesis import given, settings
+from hypothesis import example, given, settings
 from hypothesis import strategies as st
 from imgui_bundle import imgui
 from PIL import Image
@@ -226,6 +226,7 @@ def test_every_frame_keeps_the_pace_between_ticks_but_does_not_catch_up():
 
 @cases
 @given(st.floats(-1e6, 1e6), st.floats(0, 1e6) | st.floats(0, 1e-9))
+@example(15.0, 0.0)
 def test_axis_of_the_plot_has_room_and_a_few_round_numbers(least, more):
     low, high, levels, texts = scale_of(least, least + more)
     assert low < least <= least + more < high and 2 <= len(levels) <= 6

@@ -33,7 +33,7 @@ from gffe_cl.viewer.state.copying import numbers_of, value_of
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.saving import LayersWork
+from gffe_cl.viewer.state.saving import FiguresWork, LayersWork
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.window import status
 from gffe_cl.viewer.window.doctor import offers_repair
@@ -68,7 +68,7 @@ def test_story_follows_the_slot_although_the_mouse_moves_on(session):
     with session.values_waiting():
         model.playback.seek(3)
         session.until(lambda: model.contents.changes > taken)
-        assert not model.settled and model.story_is_due, "it is still that of the slot before"
+        assert not model.settled and model.pointing.story_is_due, "it is still that of the slot before"
         assert model.values == (before_values, True)
     model.pointing.hover((7.5, 5.5))
     session.settle()
@@ -103,7 +103,7 @@ def inspected(session, x, y):
     pointing = session.model.pointing
     pointing.hover((x + 0.5, y + 0.5))
     session.until(
-        lambda: pointing.inspection is not None and pointing.inspection.pixel == (x, y) and session.model.shows_values
+        lambda: pointing.inspection is not None and pointing.inspection.pixel == (x, y) and pointing.shows_values
     )
     return pointing.inspection
 
@@ -113,25 +113,25 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
     model = session.model
     model.playback.seek(3)
     session.settle()
-    assert model.current and model.frame_text == "generated: frame 1 + 1/2"
+    assert model.current and model.captions.frame == "generated: frame 1 + 1/2"
     inspected(session, 3, 4)
-    assert model.shows_values
+    assert model.pointing.shows_values
     with session.values_waiting():
         with session.engine_waiting():
             model.playback.seek(1)
             session.model.update(time.perf_counter(), session.canvas)
-            assert not model.current and model.frame_text == "generated: frame 1 + 1/2"
+            assert not model.current and model.captions.frame == "generated: frame 1 + 1/2"
         session.until(lambda: model.slot == 1)
-        assert model.current and not model.shows_values and model.values[1], "they are still those of slot 3"
-    session.until(lambda: model.shows_values)
+        assert model.current and not model.pointing.shows_values and model.values[1], "they are still those of slot 3"
+    session.until(lambda: model.pointing.shows_values)
     model.playback.n = 3
-    assert model.frame_text == "generated: frame 0 + 1/2", "which was made with n = 1"
+    assert model.captions.frame == "generated: frame 0 + 1/2", "which was made with n = 1"
     session.settle()
     inspected(session, 3, 4)
     with session.values_waiting():
         model.set("hole_filling", "none")
         session.until(lambda: model.contents.result.setup == model.setup)
-        assert model.current and not model.shows_values
+        assert model.current and not model.pointing.shows_values
 
 
 def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
@@ -150,6 +150,27 @@ def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
     work = model.saving.work
     session.until(lambda: seen.add((work.done, work.total)) or model.saving.work is None)
     assert work.done == work.total == len(list(work.path.iterdir())) > 5, seen
+    assert model.saving.saved == work.path and str(work.path) in model.messages[-1].text
+
+
+def test_figures_are_saved_where_the_user_wants_and_taken_as_b(session, tmp_path):
+    model = session.model
+    model.metrics[1] = Figures({"psnr": 30.0})
+    model.saving.choose_folder(str(tmp_path / "nothing"))
+    assert model.messages[-1].error and "no such folder" in model.messages[-1].text
+    (tmp_path / "chosen").mkdir()
+    model.saving.choose_folder(str(tmp_path / "chosen"))
+    model.saving.start(lambda subject: FiguresWork(subject, model.survey.document()))
+    session.until(lambda: model.saving.work is None)
+    (path,) = (tmp_path / "chosen").iterdir()
+    assert model.saving.saved == path
+    model.sides.keep()
+    model.sides.take_b_from(str(path))
+    session.frame()
+    assert not model.comparison.by_settings and model.survey.figures(model.survey.b)[1].values == {"psnr": 30.0}
+    path.write_text("{}")
+    model.sides.take_b_from(str(path))
+    assert model.messages[-1].error and "expected those of the viewer" in model.messages[-1].text
 
 
 def test_while_a_program_is_attached_to_that_is_told(session):
@@ -210,7 +231,7 @@ def test_a_layer_is_never_compared_with_itself(session):
 
 def test_settings_compared_with_themselves_are_named(session):
     model, comparison = session.model, session.model.comparison
-    model.keep_as_b()
+    model.sides.keep()
     comparison.set("difference")
     session.settle()
     assert "same settings" in comparison.scale_text() and comparison.shown().compare == "off"
@@ -564,7 +585,7 @@ def test_the_worst_pixel_is_looked_at_and_then_the_next_one(session):
     images = (to_display(model.contents.image(name)[..., :3], 1.0) for name in ("final", "truth"))
     error = np.abs(np.subtract(*images)).mean(-1)
     assert error[picked[0][1], picked[0][0]] == error.max()
-    model.keep_as_b()
+    model.sides.keep()
     session.settle()
     model.worst.due = True
     session.settle()
@@ -575,7 +596,7 @@ def test_saved_pictures_name_frame_layers_and_settings(session):
     model = session.model
     model.playback.seek(3)
     model.parameters.switch("crack_closing", False)
-    model.keep_as_b()
+    model.sides.keep()
     model.parameters.switch("crack_closing", True)
     model.show_layer("frame.depth")
     session.settle()
@@ -587,13 +608,13 @@ def test_saved_pictures_name_frame_layers_and_settings(session):
     assert titles()[:2] == [f"{name}   generated: frame 1 + 1/2", "frame: Depth   defaults"]
     model.comparison.set("error")
     assert titles()[1:3] == ["A  frame: Depth   defaults", "B  frame: Depth   no crack closing"]
-    assert model.legends()[0].legend.unit == "world units"
+    assert model.captions.legends()[0].legend.unit == "world units"
     model.show_layer("final")
     model.comparison.with_layer("truth")
     assert titles()[1:3] == ["A  frame: Final   defaults", "B  frame: Ground truth"]
-    assert model.legends()[0].legend.unit == "of display values"
+    assert model.captions.legends()[0].legend.unit == "of display values"
     model.comparison.set("flip error")
-    assert model.legends()[0].legend.unit.startswith("FLIP")
+    assert model.captions.legends()[0].legend.unit.startswith("FLIP")
     model.settings.legends = False
     assert titles() == []
 
@@ -647,7 +668,7 @@ def test_values_stay_at_the_picked_pixel_and_are_copied(session):
     session.until(lambda: model.pointing.inspection is not None and model.pointing.pinned is not None)
     session.settle()
     assert (model.pointing.pinned.pixel, model.pointing.inspection.pixel) == ((3, 4), (7, 5))
-    text = value_of(model.contents, model.frame_text, "final", model.pointing.pinned)
+    text = value_of(model.contents, model.captions.frame, "final", model.pointing.pinned)
     color = model.contents.image("final")[4, 3]
     assert (
         text

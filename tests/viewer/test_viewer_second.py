@@ -15,6 +15,7 @@ from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
 from gffe_cl.viewer.engine.figures import Figures
+from gffe_cl.viewer.state.presets import command_line
 from gffe_cl.viewer.state.studies import modules_of
 
 
@@ -39,7 +40,7 @@ def kept_and_changed(session):
     model.set("motion", False)
     session.settle()
     alone = model.contents.image("final").copy()
-    model.keep_as_b()
+    model.sides.keep()
     model.set("motion", True)
     model.comparison.set("split")
     session.settle()
@@ -112,10 +113,10 @@ def test_b_has_the_kernels_of_its_time(session, tmp_path, monkeypatch):
     model = session.model
     model.playback.seek(3)
     session.settle()
-    model.keep_as_b()
+    model.sides.keep()
     model.comparison.set("difference")
     session.settle()
-    assert model.builds == ("", ""), "both are the same"
+    assert model.comparison.builds == ("", ""), "both are the same"
     before, builds = model.contents.image("final").copy(), model.engine.builds
     path = folder / "holes.cl"
     path.write_text(path.read_text().replace("store_color(mean.xyz,", "store_color(9.0f + mean.xyz,"))
@@ -125,7 +126,7 @@ def test_b_has_the_kernels_of_its_time(session, tmp_path, monkeypatch):
     session.settle()
     np.testing.assert_array_equal(model.contents.image("B:final"), before)
     a, b = (made.key.recipe.kernels[:6] for made in (model.contents.result, model.contents.second))
-    assert a != b and model.builds == (f"kernels {a}   ", f"kernels {b}   ")
+    assert a != b and model.comparison.builds == (f"kernels {a}   ", f"kernels {b}   ")
     assert (model.contents.image("final") != before).any()
 
 
@@ -137,11 +138,11 @@ def test_settings_are_found_again(session):
     model.kept.restore(model.settings.kept)
     model.kept.choose("no motion estimation")
     model.set("motion", True)
-    model.take_second()
+    model.sides.take_second()
     assert model.parameters.value("motion") is False
     saved = model.comparison.preferences()
     assert (saved["compare"], saved["b"]) == ("off", None)
-    line = model.command_line(model.setup)
+    line = command_line(model.setup, model.source, model.plan.seed)
     assert "--no-motion" in line and replace(model.setup, n=3) != model.setup
 
 
@@ -165,7 +166,7 @@ def studied(session, study):
 def test_the_first_layer_that_differs_is_of_the_stage_that_was_changed(session):
     model = session.model
     model.playback.seek(3)
-    model.keep_as_b()
+    model.sides.keep()
     session.settle()
     assert studied(session, model.studies.differing).first is None, "equal settings"
     assert len(model.studies.differing.all) > 30
@@ -175,7 +176,7 @@ def test_the_first_layer_that_differs_is_of_the_stage_that_was_changed(session):
     assert found.first.spec.name == "history.dynamic_mask"
     final = next(one for one in found.all if one.spec.name == "final")
     images = [model.contents.image("final"), None]
-    model.take_second()
+    model.sides.take_second()
     session.settle()
     images[1] = model.contents.image("final")
     differs = (images[0] != images[1]).any(-1)
@@ -192,7 +193,7 @@ def test_an_ablation_tells_what_a_module_gains(session):
     scores = []
     for filling in ("far-side", "none"):
         model.set("hole_filling", filling)
-        model.set_measuring(True)
+        model.measuring = True
         session.settle()
         session.until(lambda: "psnr" in model.metrics.get(3, Figures()).values)
         scores.append(model.metrics[3].values["psnr"])
@@ -231,7 +232,7 @@ def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
     source = open_sequence(tmp_path / "first")
     device, options = open_device(), model.setup.options
     run_sequence(Recorded(source, device), tmp_path / "out", device, options, [0.5], dump_stages=True)
-    model.take_b_from(str(tmp_path / "out"))
+    model.sides.take_b_from(str(tmp_path / "out"))
     model.playback.seek(3)
     session.settle()
     assert model.contents.second is not None, model.messages
@@ -248,7 +249,7 @@ def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
     (tmp_path / "again").rename(tmp_path / "out")
     session.settle()
     np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
-    model.take_b_from(str(tmp_path / "nothing"))
+    model.sides.take_b_from(str(tmp_path / "nothing"))
     session.settle()
     assert "nothing" in model.showing.fault_of_b and model.contents.second is None
 
@@ -259,10 +260,10 @@ def test_b_is_other_kernels_in_a_folder(session, tmp_path):
     shutil.copytree(kernel_folder(), tmp_path / "edited")
     path = tmp_path / "edited" / "holes.cl"
     (tmp_path / "edited" / "warp.cl").write_text((kernel_folder() / "warp.cl").read_text() + "\n// another build\n")
-    model.take_b_from(str(path.parent))
+    model.sides.take_b_from(str(path.parent))
     session.settle()
     assert model.comparison.by_settings and model.contents.second.key.recipe.kernels != model.recipe.kernels
     np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
     path.unlink()
-    model.take_b_from(str(path.parent))
+    model.sides.take_b_from(str(path.parent))
     assert model.messages[-1].error and "holes.cl" in model.messages[-1].text

@@ -124,11 +124,11 @@ class Gui:
     def images(self) -> dict[str, np.ndarray]:
         """All layers of the present slot."""
         before = self.model.overview
-        self.model.set_overview(True)
+        self.model.overview = True
         self.settle()
         self.wait(lambda: len(self.model.contents.result.images) > 5, "all layers")
         found = dict(self.model.contents.result.images)
-        self.model.set_overview(before)
+        self.model.overview = before
         self.settle()
         return found
 
@@ -206,8 +206,8 @@ class Gui:
         model.playback.mode, model.playback.speed, model.playback.loop = "real time", 1.0, True
         model.parameters.options = Options(**ALWAYS)
         model.set("n", 1)
-        model.set_overview(False)
-        model.set_measuring(False)
+        model.overview = False
+        model.measuring = False
         model.arrows, model.messages = False, []
         model.settings.displays.clear()
         model.looks.forget()

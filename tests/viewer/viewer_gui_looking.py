@@ -56,7 +56,7 @@ def overview(gui: Gui):
     left, top, width, height = gui.area("//Picture/**/###overview")
     size = int(width), int(height)
     caption = round(gui.on_screen(imgui.get_text_line_height)) + 3
-    tiles = gui.on_screen(lambda: gui.app.canvas.overview(model.overview_tiles(), size, caption=caption)[1])
+    tiles = gui.on_screen(lambda: gui.app.canvas.overview(model.looks.tiles(), size, caption=caption)[1])
     values["tiles"], values["layers"] = [tile.name for tile in tiles], [spec.name for spec in model.contents.layers]
     gui.shot("overview")
     tile = next(tile for tile in tiles if tile.name == "frame.depth")

@@ -228,7 +228,7 @@ def palette_and_help(gui: Gui):
     gui.key(KEY.enter)
     gui.settle()
     values["overview"], values["palette closed"] = model.overview, app.palette.text is None
-    model.set_overview(False)
+    model.overview = False
     gui.key(KEY.p, CTRL)
     gui.ctx.key_chars("frame")
     gui.key(KEY.down_arrow)

@@ -52,9 +52,9 @@ def settings_a_and_b(gui: Gui):
     model.comparison.set("split")
     gui.click("//Compare/measure")
     gui.wait(lambda: "ssim" in getattr(model.metrics.get(13), "values", {}), "A's metrics")
-    gui.wait(lambda: "ssim" in getattr(model.metrics_of_second().get(13), "values", {}), "B's metrics")
+    gui.wait(lambda: "ssim" in getattr(model.survey.figures(model.survey.b).get(13), "values", {}), "B's metrics")
     gui.shot("settings, scores")
-    values["scores"] = [of[13].values["psnr"] for of in (model.metrics, model.metrics_of_second())]
+    values["scores"] = [of[13].values["psnr"] for of in (model.metrics, model.survey.figures(model.survey.b))]
     slots = []
     for _ in range(3):
         gui.key(KEY.right_arrow)

@@ -113,7 +113,7 @@ class _Photographer:
             shot.look.take(model)
         except GffeError as error:
             return str(error)
-        model.set_overview(shot.overview)
+        model.overview = shot.overview
         model.pointing.enabled = False
         if shot.pixel is not None:
             model.pointing.pick(shot.pixel)

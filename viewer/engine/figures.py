@@ -43,8 +43,8 @@ class Quantity:
     worse: int
     digits: int = 2
 
-    def text(self, value: float) -> str:
-        return f"{value:.{self.digits}f} {self.unit}".rstrip()
+    def text(self, value: float, sign: str = "") -> str:
+        return f"{value:{sign}.{self.digits}f} {self.unit}".rstrip()
 
 
 QUANTITIES = {

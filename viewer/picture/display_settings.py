@@ -38,6 +38,12 @@ class Looks:
             self._displays[name] = self._first(spec)
         return self._displays[name]
 
+    def tiles(self) -> list[tuple[str, Display]]:
+        """Return all layers that generated frames have, with their displays: tiles keep their places."""
+        contents = self._contents
+        shown = [spec.name for spec in contents.layers if spec.of_generated or contents.image(spec.name) is not None]
+        return [(name, self.of(name)) for name in shown]
+
     def forget(self) -> None:
         """Drop values that were fitted to the pictures, after a change of the source."""
         self._displays.clear()

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import json
 import math
 import os
 import re
@@ -18,7 +19,7 @@ from gffe_cl.captures.offline.run import _dump_channels
 from gffe_cl.captures.sequence.exr import write_channels
 from gffe_cl.captures.video import EncoderError, write_video
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import replacing
+from gffe_cl.engine.core.files import replacing, write_text
 
 if TYPE_CHECKING:
     from gffe_cl.engine.inspection.layers import LayerSpec
@@ -46,6 +47,12 @@ def save_png(path: Path, rgba: np.ndarray) -> None:
     _require_image(path, rgba, (3, 4))
     with _faults(path, "the image"), replacing(path) as part:
         Image.fromarray(np.ascontiguousarray(rgba)).save(part, "PNG")
+
+
+def save_json(path: Path, document: Any) -> None:
+    """Write plain JSON. Raises GffeError, leaving nothing new."""
+    with _faults(path, "the figures"):
+        write_text(path, json.dumps(document, indent=1) + "\n")
 
 
 def save_layers_exr(

@@ -18,6 +18,7 @@ from ..picture.legend_strip import Entry
 from ..picture.legends import Legend, legend
 from ..picture.view import CLIPPING, View
 from .comparing import Comparison
+from .playback import Playback
 
 
 @dataclass
@@ -164,3 +165,29 @@ def _overlay(view: View) -> list[Entry]:
     if view.overlay == "residual motion":
         return [Entry("residual motion", legend(_MOTION, Display(motion_scale=view.residual_scale)))]
     return []
+
+
+class Captions:
+    """Captions of the displayed picture."""
+
+    def __init__(self, contents: Contents, view: View, looks: Looks, comparison: Comparison, playback: Playback):
+        self._contents, self._view, self._looks = contents, view, looks
+        self._comparison, self._playback = comparison, playback
+
+    @property
+    def frame(self) -> str:
+        """The name of the displayed frame."""
+        result = self._contents.result
+        if result is None:
+            return slot_text(self._playback.slot, self._playback.n)
+        follows = self._contents.source.follows
+        return frame_text(result.moment) if follows else slot_text(result.slot, result.setup.n)
+
+    def legends(self) -> list[Entry]:
+        """Return the legends of the picture."""
+        return entries_of(self._view, self._contents, self._looks, self._comparison)
+
+    def under_picture(self, settings: tuple[str, str], marked: str) -> list[Entry]:
+        """Return what is written under a saved picture; `settings` of A and B, and the `marked` pixels."""
+        shown = headings(self._view, self._contents, self._looks, self.frame, settings, marked)
+        return [*shown, *self.legends()]

@@ -22,6 +22,7 @@ from .presets import Kept, KeptSettings
 FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one"}
 WAYS = ("off", "split", "flip", "difference", "error", "flip error")
 FLIP_HIGH = 0.5
+BUILD_LETTERS = 6  # of the identity of a build
 _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}  # of a view, with their ranges
 
 
@@ -71,6 +72,15 @@ class Comparison:
             return "A and B have the same settings" if self.same_settings else ""
         return "A and B are the same layer" if self._view.b == self._view.a else ""
 
+    @property
+    def builds(self) -> tuple[str, str]:
+        """The kernels that the displayed frames of A and B were made with, where these differ; else empty texts."""
+        shown = self._contents.result, self._contents.second
+        a, b = (frame.key.recipe.kernels if frame else "" for frame in shown)
+        if not self.by_settings or a == b or not b:
+            return "", ""
+        return f"kernels {a[:BUILD_LETTERS]}   ", f"kernels {b[:BUILD_LETTERS]}   "
+
     def with_settings(self, name: str | None = None) -> None:
         """Compare with kept settings, by default with those that are B already."""
         if name is not None:
@@ -81,6 +91,11 @@ class Comparison:
     def with_layer(self, name: str) -> None:
         """Compare with another layer."""
         self._by_settings, self._view.b = False, name
+
+    def without_settings(self) -> None:
+        """Compare with no kept settings any more."""
+        self._by_settings = False
+        self.follow()
 
     def follow(self) -> None:
         """Make B's layer that of A where settings are compared. Where they no longer are, B is given up."""
@@ -95,6 +110,11 @@ class Comparison:
         view.compare = way
         if way != "off" and view.b in (None, view.a):
             view.b = self._usual_b()
+
+    def show(self) -> None:
+        """Show A beside B unless they are compared already."""
+        if self._view.compare == "off":
+            self.set("split")
 
     def toggle(self, way: str) -> None:
         self.set("off" if self._view.compare == way else way)

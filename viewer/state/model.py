@@ -2,18 +2,15 @@
 
 from __future__ import annotations
 
-import math
 import sys
 from collections.abc import Callable
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
-from gffe_cl.engine.inspection.buffers import moved
-from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Link
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.options import Options
 from ..engine.doctor_worker import Doctor
 from ..engine.figures import Figures, Measurements
@@ -33,13 +30,14 @@ from ..picture.regions import Regions
 from ..picture.selection import Selection
 from ..picture.view import View
 from ..picture.worst_pixels import WorstPixels
-from .captions import entries_of, frame_text, headings, slot_text
-from .comparing import Comparison
+from .captions import Captions
+from .comparing import BUILD_LETTERS, Comparison
 from .navigation import Flights, Walk
 from .opening import Opening
-from .presets import Kept, KeptSettings, command_line, told
-from .saving import RecordingWork, Saving, Subject
+from .presets import Kept, KeptSettings, told
+from .saving import Saving, Subject
 from .settings import Settings
+from .sides import Sides
 from .studies import Here, Studies
 from .survey import Side, Survey
 from .timings import Timings
@@ -49,7 +47,6 @@ from .wanting import Ahead, Needed
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
-BUILD_LETTERS = 6  # of the identity of a build
 
 
 class Model(Opening):
@@ -83,10 +80,12 @@ class Model(Opening):
         self.measured = Measurements()
         self.survey = Survey(self.store, self.measured, self.playback)
         self.studies = Studies(self.store, self.measured.background)
-        self.pointing = Pointing(self.store)
+        self.pointing = Pointing(self.store, self.contents)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
         self.worst = WorstPixels(self.view, self.contents)
+        self.sides = Sides(self.engine, self.parameters, self.kept, self.comparison, self.survey, self.say)
+        self.captions = Captions(self.contents, self.view, self.looks, self.comparison, self.playback)
         shown, settled = self.comparison.shown, lambda: self.settled
         subject = Subject(self.contents, self.playback, self.view, shown, self._legends, settled)
         self.saving = Saving(subject, self.say)
@@ -331,18 +330,6 @@ class Model(Opening):
             self.playback.seek(slot)
         self.say(text)
 
-    def go_to_input(self, k: int, px: tuple[int, int]) -> None:
-        """Look at pixel `px` of the rendered image of frame `k` of a sequence."""
-        entry = self.source.sequence.rendered[k]
-        x, y = moved((px[0] + 0.5, px[1] + 0.5), entry.render_camera, entry.display_camera)
-        self.walk.follow(Link("", frame=k, pixel=(math.floor(x), math.floor(y))))
-
-    def go_to_invalid(self) -> None:
-        """Look at the next invalid pixel of the picture, after the picked one."""
-        pixel = self.invalid.next(self.pointing.picked)
-        if pixel is not None:
-            self.walk.go_to_pixel(pixel)
-
     @property
     def inspects(self) -> bool:
         """Whether pixel values are wanted: cached frames are not computed for that during playback."""
@@ -359,11 +346,6 @@ class Model(Opening):
     def metrics(self) -> dict[int, Figures]:
         """Return the figures of the present recipe, by slot."""
         return self.measured.of(self.recipe)
-
-    def metrics_of_second(self) -> dict[int, Figures]:
-        """Return the figures of B's settings, by slot; empty without B."""
-        kept = self.kept.b
-        return {} if kept is None else self.measured.of(self.engine.recipe(kept.setup(self.n)))
 
     @property
     def n(self) -> int:
@@ -436,7 +418,7 @@ class Model(Opening):
             self.showing.shows_due
             and self._layers == result.layers
             and not self.engine.busy
-            and (self.pointing.tells(result.key) or not self.inspects)
+            and (not self.pointing.story_is_due or not self.inspects)
             and self.comparison.ready
             and self.regions.ready
             and self.selection.ready
@@ -452,33 +434,11 @@ class Model(Opening):
         return self.showing.shows_slot_due
 
     @property
-    def shows_values(self) -> bool:
-        """Whether the values under the pointer belong to the displayed picture."""
-        result = self.contents.result
-        return result is not None and (self.follows or self.pointing.shows(result.key))
-
-    @property
-    def story_is_due(self) -> bool:
-        """Whether the story of the picked pixel is still that of another picture."""
-        result = self.contents.result
-        return result is None or not (self.follows or self.pointing.tells(result.key))
-
-    @property
     def values(self) -> tuple[Inspection | None, bool]:
         """Return the values of the picked pixel, else of the one under the pointer; and whether they are still those of
         another picture."""
-        if self.pointing.picked is not None:
-            return self.pointing.pinned, not self.current or self.story_is_due
-        return self.pointing.inspection, not (self.current and self.shows_values)
-
-    @property
-    def builds(self) -> tuple[str, str]:
-        """Return which kernels the displayed frames of A and B were made with, where these differ; else empty texts."""
-        shown = self.contents.result, self.contents.second
-        a, b = (frame.key.recipe.kernels if frame else "" for frame in shown)
-        if not self.comparison.by_settings or a == b or not b:
-            return "", ""
-        return f"kernels {a[:BUILD_LETTERS]}   ", f"kernels {b[:BUILD_LETTERS]}   "
+        found, stale = self.pointing.values
+        return found, stale or not self.current
 
     @property
     def states(self) -> list[str]:
@@ -494,39 +454,6 @@ class Model(Opening):
             found.append("the program has ended: L follows the next one of its name")
         return found
 
-    def keep_as_b(self) -> None:
-        """Keep the present settings as B."""
-        kept = self.kept.keep(self.setup, self.recipe.kernels)
-        self.comparison.with_settings(kept.name)
-        self.say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
-
-    def take_b_from(self, place: str) -> None:
-        """Compare with what is stored at `place`: kernels, with the present settings, or the pictures of a sequence."""
-        folder = Path(place).expanduser().absolute()
-        try:
-            if next(folder.glob("*.cl"), None) is not None:
-                kernels = self.engine.take_kernels(folder)
-                kept = self.kept.keep(self.setup, kernels, folder)
-            else:
-                kept = self.kept.keep_stored(str(folder), self.setup.options)
-        except (GffeError, OSError) as error:
-            self.say(str(error), error=True)
-            return
-        self.comparison.with_settings(kept.name)
-        if self.view.compare == "off":
-            self.comparison.set("split")
-
-    def take_second(self) -> None:
-        """Go on with B's settings as A."""
-        kept = self.kept.b
-        assert kept is not None  # there is a B
-        self.parameters.take(kept.options, kept.window)
-        self.say(f"A has B's settings now: {kept.name}" + (", with the newest kernels" if kept.kernels else ""))
-
-    def command_line(self, setup: Setup) -> str:
-        """Return the shell command that makes the frames of `setup`."""
-        return command_line(setup, self.source, self.plan.seed)
-
     def set(self, name: str, value: Any) -> None:
         """Set a parameter. Invalid values give a message."""
         try:
@@ -539,24 +466,6 @@ class Model(Opening):
     def show_layer(self, name: str) -> None:
         self.view.a = name
 
-    def next_layer(self, step: int) -> None:
-        found = [spec.name for spec in self.contents.showable()]
-        if found:
-            index = found.index(self.view.a) if self.view.a in found else 0
-            self.show_layer(found[(index + step) % len(found)])
-
-    def set_overview(self, on: bool) -> None:
-        self.overview = on
-
-    def set_measuring(self, on: bool) -> None:
-        self.measuring = on
-
-    def overview_tiles(self) -> list[tuple[str, Display]]:
-        """Return all layers that generated frames have, with their displays: tiles keep their places."""
-        image = self.contents.image
-        shown = [spec.name for spec in self.contents.layers if spec.of_generated or image(spec.name) is not None]
-        return [(name, self.looks.of(name)) for name in shown]
-
     @property
     def flying(self) -> bool:
         return self.flights.flyer is not None and self.flights.flyer.active
@@ -566,7 +475,7 @@ class Model(Opening):
         self.store.want(())
         self.source.forget_flight()
 
-    # ---- saving --------------------------------------------------------------------------------------------
+    # ---- telling -------------------------------------------------------------------------------------------
 
     def _legends(self) -> list[Entry]:
         """Return what is written under a saved picture."""
@@ -574,33 +483,7 @@ class Model(Opening):
             return []
         settings, kept = told(self.setup), self.kept.b if self.comparison.by_settings else None
         marked = self.invalid.text() if self.view.mark_invalid else ""
-        sides = settings, settings if kept is None else kept.name
-        return [*headings(self.view, self.contents, self.looks, self.frame_text, sides, marked), *self.legends()]
-
-    def legends(self) -> list[Entry]:
-        """Return the legends of the picture."""
-        return entries_of(self.view, self.contents, self.looks, self.comparison)
-
-    @property
-    def frame_text(self) -> str:
-        """The name of the displayed frame."""
-        result = self.contents.result
-        if result is None:
-            return slot_text(self.slot, self.n)
-        return frame_text(result.moment) if self.follows else slot_text(self.slot, result.setup.n)
-
-    def save_recording(self) -> None:
-        """Start writing the program's last rendered frames: those that are frozen, else those up to now."""
-        program = self.program
-        assert program is not None
-        try:
-            sequence = self.source.sequence if self.frozen else program.recording()
-        except GffeError as error:
-            self.say(str(error), error=True)
-            return
-        self.saving.start(partial(RecordingWork, sequence=sequence))
-
-    # ---- telling -------------------------------------------------------------------------------------------
+        return self.captions.under_picture((settings, settings if kept is None else kept.name), marked)
 
     def examine(self) -> None:
         """Have the doctor look at the sequence."""

@@ -10,6 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.inspection.buffers import moved
 from gffe_cl.engine.inspection.explain.motion_trail import WayPoint
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Link
 from ..picture.current_frame import Contents
@@ -148,10 +149,24 @@ class Walk:
         x, y = point.px
         self.follow(Link("", frame=point.k, pixel=(int(x // 1), int(y // 1))))
 
-    def go_to_pixel(self, pixel: tuple[int, int]) -> None:
-        """Look at a pixel of this slot."""
-        self._leave()
-        self.look_at(pixel)
+    def follow_input(self, k: int, px: tuple[int, int]) -> None:
+        """Go to pixel `px` of the rendered image of frame `k` of a sequence."""
+        entry = self._contents.source.sequence.rendered[k]
+        x, y = moved((px[0] + 0.5, px[1] + 0.5), entry.render_camera, entry.display_camera)
+        self.follow(Link("", frame=k, pixel=(math.floor(x), math.floor(y))))
+
+    def next_layer(self, step: int) -> None:
+        """Show the layer that many places further in the list."""
+        found = [spec.name for spec in self._contents.showable()]
+        if found:
+            index = found.index(self._view.a) if self._view.a in found else 0
+            self._view.a = found[(index + step) % len(found)]
+
+    def go_to_pixel(self, pixel: tuple[int, int] | None) -> None:
+        """Look at a pixel of this slot; None: stay."""
+        if pixel is not None:
+            self._leave()
+            self.look_at(pixel)
 
     def look_at(self, pixel: tuple[int, int]) -> None:
         """Request the pixel's story. If only a part of the picture is visible, center it."""

@@ -6,6 +6,7 @@ from concurrent.futures import Future
 from functools import partial
 from typing import Any
 
+from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import Options
 from ..engine.background import Background
@@ -124,6 +125,11 @@ class Opening:
         assert program is not None
         self._stop_attaching()
         self.engine.open_source(lambda device: FrozenSource(program, device))
+
+    def recording(self) -> Sequence:
+        """Return the program's last rendered frames: those that are frozen, else those up to now. Raises GffeError."""
+        assert self.program is not None
+        return self.source.sequence if self.frozen else self.program.recording()
 
     @property
     def follows(self) -> bool:

@@ -1,4 +1,4 @@
-"""Saving into the working folder: pictures at once; layers and videos in the background."""
+"""Saving: pictures, layers, videos, recordings and figures, in the background."""
 
 from __future__ import annotations
 
@@ -9,15 +9,17 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from gffe_cl.captures.formats.importing import import_capture
 from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
 from ..engine.background import Background
 from ..picture.canvas import read
 from ..picture.current_frame import Contents
-from ..picture.files import export_video, save_layers_exr, save_png, unused_name
+from ..picture.files import export_video, save_json, save_layers_exr, save_png, unused_name
 from ..picture.legend_strip import Entry, with_legends
 from ..picture.view import View
 from .playback import Playback
@@ -26,10 +28,10 @@ _WAITING = 2  # frames between the interface and the encoder
 _PATIENCE = 5.0  # seconds for writing to end after it was cancelled
 
 
-@dataclass(frozen=True)
+@dataclass
 class Subject:
     """Saved content: the contents, as `view`, with comparison and display settings from `shown`; `settled`: whether
-    the displayed frame is the requested one."""
+    the displayed frame is the requested one. `folder`: where it is saved; None: in the working folder."""
 
     contents: Contents
     playback: Playback
@@ -37,6 +39,7 @@ class Subject:
     shown: Callable[[], View]
     legends: Callable[[], list[Entry]]
     settled: Callable[[], bool]
+    folder: Path | None = None
 
     @property
     def slot(self) -> int:
@@ -44,8 +47,8 @@ class Subject:
         return result.slot if result is not None else self.playback.slot
 
     def unused(self, stem: str, suffix: str) -> Path:
-        """Return a new path in the working folder."""
-        return unused_name(Path.cwd(), f"{self.contents.source.name}_{stem}", suffix)
+        """Return a new path in the folder."""
+        return unused_name(self.folder or Path.cwd(), f"{self.contents.source.name}_{stem}", suffix)
 
     def picture(self, canvas) -> np.ndarray:
         """Return (H, W, 4) uint8 of the view, unzoomed."""
@@ -156,13 +159,29 @@ class LayersWork(Work):
 class RecordingWork(Work):
     """Writing of a running program's frames as a sequence in a new folder."""
 
-    def __init__(self, subject: Subject, sequence: Sequence):
+    def __init__(self, subject: Subject, recording: Callable[[], Sequence]):
+        sequence = recording()
         super().__init__(subject, subject.unused("recorded", ""), len(sequence.rendered))
         self._start(lambda: self._write(sequence))
 
     def _write(self, sequence: Sequence) -> str:
         report = import_capture(sequence, self.path, on_frame=self._count)
         return f"wrote {report.rendered} rendered frames: gffe check {self.path}"
+
+    def _proceed(self, canvas):
+        """Do nothing: all is done on the thread."""
+
+
+class FiguresWork(Work):
+    """Writing of figures, plain JSON, as a baseline."""
+
+    def __init__(self, subject: Subject, document: dict[str, Any]):
+        super().__init__(subject, subject.unused("baseline", ".json"), 1)
+        self._start(lambda: self._write(document))
+
+    def _write(self, document: dict[str, Any]) -> str:
+        save_json(self.path, document)
+        return f"saved the figures of {len(document['frames'])} frames in {self.path}"
 
     def _proceed(self, canvas):
         """Do nothing: all is done on the thread."""
@@ -215,15 +234,27 @@ class VideoWork(Work):
 
 
 class Saving:
-    """Saves `subject`, one `work` at a time, which is None when there is none. `say` is given its outcome."""
+    """Saves `subject`, one `work` at a time, which is None when there is none. `say` is given its outcome; `saved`: the
+    file or folder that was written last."""
 
     def __init__(self, subject: Subject, say: Callable[[str, bool], None]):
         self.subject, self._say = subject, say
         self.work: Work | None = None
+        self.saved: Path | None = None
+
+    def choose_folder(self, place: str) -> None:
+        """Save into another folder from now on."""
+        folder = Path(place).expanduser().absolute()
+        if folder.is_dir():
+            self.subject.folder = folder
+        self._say(f"saves into {folder}" if folder.is_dir() else f"{folder}: no such folder", not folder.is_dir())
 
     def start(self, work: Callable[[Subject], Work]) -> None:
-        """Start saving in the background."""
-        self.work = work(self.subject)
+        """Start saving in the background, or say why there is nothing to save."""
+        try:
+            self.work = work(self.subject)
+        except GffeError as error:
+            self._say(str(error), True)
 
     def advance(self, canvas) -> None:
         """Go on with it. Call once per frame of the interface."""
@@ -231,6 +262,7 @@ class Saving:
             return
         self.work.advance(canvas)
         if self.work.finished:
+            self.saved = self.work.path if self.work.path.exists() else self.saved
             if self.work.outcome:
                 self._say(self.work.outcome, self.work.failed)
             self.work = None

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
 from ..engine.figures import NEEDED, QUANTITIES, REGIONS, Figures, Measurements, Part
 from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
+from .baseline import Baseline, document_of
 from .playback import Playback
 
 NO_B = "B is a layer. K keeps settings as B"
@@ -20,10 +22,11 @@ _HISTORY = 2  # rendered frames before the one that a slot is made of
 
 @dataclass(frozen=True)
 class Side:
-    """A or B: its setup, and the recipe by which its figures are stored."""
+    """A or B: its setup, and the recipe by which its figures are known; `stored`: those of a baseline, instead."""
 
     setup: Setup
     recipe: Recipe
+    stored: Mapping[int, Figures] | None = None
 
 
 class Survey:
@@ -36,7 +39,9 @@ class Survey:
     quantity : str
         The one of `QUANTITIES` that is plotted, and by which frames are found.
     a, b : Side or None
-        What is surveyed; B where settings are compared.
+        What is surveyed; B where settings are compared, or figures with a baseline.
+    baseline : Baseline or None
+        B where no settings are compared.
     resets : sequence of int
         Rendered frames that have none before them, in order. Slots without two rendered frames of history are plotted,
         but neither found nor counted in means, as `gffe compare` has it.
@@ -48,6 +53,8 @@ class Survey:
         self.a: Side | None = None
         self.b: Side | None = None
         self.resets: Sequence[int] = ()
+        self.baseline: Baseline | None = None
+        self._stored: tuple[tuple, dict[int, Figures]] = (), {}  # of the baseline, and what they depend on
         self._wants: list[Want] = []
         self._found: tuple[str, list[int], int] | None = None  # how, the slots in order, and the one gone to
 
@@ -56,7 +63,7 @@ class Survey:
     def update(self, a: Side, b: Side | None, exposure: float, may_run: bool) -> list[Want]:
         """Have the slots measured that are there, and return those that are missing. Call once per frame of the
         interface; `may_run`: whether there is nothing else to do."""
-        self.a, self.b = a, b
+        self.a, self.b = a, b or self._of_baseline(a)
         for want in self._wants:
             made = self._store.get(want)
             if isinstance(made, Frame):
@@ -68,7 +75,20 @@ class Survey:
 
     def forget(self) -> None:
         """Drop everything after a change of the source."""
-        self._wants, self._found = [], None
+        self._wants, self._found, self.baseline = [], None, None
+
+    def _of_baseline(self, a: Side) -> Side | None:
+        """Return the baseline as B, which is not measured."""
+        if self.baseline is None:
+            return None
+        depends_on = self.baseline, self._playback.n, self._playback.slots
+        if self._stored[0] != depends_on:
+            self._stored = depends_on, self.baseline.by_slot(self._playback)
+        return replace(a, stored=self._stored[1])
+
+    def document(self) -> dict[str, Any]:
+        """Return A's figures as plain JSON, to be a baseline."""
+        return document_of(self.figures(self.a), self._of_both([self.figures(self.a)]), self._playback)
 
     @property
     def busy(self) -> bool:
@@ -107,7 +127,9 @@ class Survey:
 
     def figures(self, side: Side | None) -> dict[int, Figures]:
         """Return the figures of A or B by slot."""
-        return {} if side is None else self._measured.of(side.recipe)
+        if side is None:
+            return {}
+        return self._measured.of(side.recipe) if side.stored is None else dict(side.stored)
 
     def curve(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return slots and values of a quantity, in order."""

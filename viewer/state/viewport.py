@@ -7,6 +7,7 @@ import math
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
 from ..engine.messages import Failure, Key
 from ..engine.store import Pixel, Store, Want
+from ..picture.current_frame import Contents
 from ..picture.view import View
 
 Size = tuple[int, int]
@@ -54,8 +55,8 @@ class Pointing:
         False: the pointer means nothing.
     """
 
-    def __init__(self, store: Store):
-        self._store = store
+    def __init__(self, store: Store, contents: Contents):
+        self._store, self._contents = store, contents
         self._size = (0, 0)
         self.enabled = True
         self._wants: list[Want] = []
@@ -108,13 +109,25 @@ class Pointing:
                     self.inspection, self._inspected = made, want.key
         return fault
 
-    def shows(self, key: Key) -> bool:
-        """Return whether the values are those of a slot."""
-        return self._inspected == key
+    @property
+    def shows_values(self) -> bool:
+        """Whether the values under the pointer belong to the displayed picture."""
+        return self._is_shown(self._inspected)
 
-    def tells(self, key: Key) -> bool:
-        """Return whether the story of the picked pixel is that of a slot; without one nothing is missing."""
-        return self.picked is None or self._told == key
+    @property
+    def story_is_due(self) -> bool:
+        """Whether the story of the picked pixel is still that of another picture."""
+        return self.picked is not None and not self._is_shown(self._told)
+
+    @property
+    def values(self) -> tuple[Inspection | None, bool]:
+        """The values of the picked pixel, else of the one under the pointer; and whether they are still those of
+        another picture."""
+        return (self.pinned, self.story_is_due) if self.picked else (self.inspection, not self.shows_values)
+
+    def _is_shown(self, key: Key | None) -> bool:
+        result = self._contents.result
+        return result is not None and (self._contents.source.follows or key == result.key)
 
     @property
     def _pixel(self) -> Pixel | None:

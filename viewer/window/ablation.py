@@ -19,15 +19,12 @@ _LEAST = 0.005  # dB: less is written as nothing
 
 def draw(app: Interface) -> None:
     model, study = app.model, app.model.studies.ablation
-    reason = widgets.why_no_study(model, study)
-    if reason:
-        widgets.hint(reason)
+    if widgets.studied(model, study) is None:
         return
     if study.busy:
         imgui.progress_bar(len(study.found) / max(study.parts, 1), (-1, 0), f"{len(study.found)} of {study.parts}")
     else:
         widgets.hint("dB that this frame loses without a module. A click compares with it off")
-    widgets.failures(study)
     with widgets.compact():
         _table(model)
 

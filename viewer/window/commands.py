@@ -15,7 +15,7 @@ from ..state.actions import Action
 from ..state.comparing import FORMULAS
 from ..state.model import Model
 from ..state.parameters import ALL
-from ..state.presets import Kept
+from ..state.presets import Kept, command_line
 from .workspace import Workspace
 
 _EXPOSURE_STEP = 0.5
@@ -65,6 +65,12 @@ def register(app: Workspace) -> None:
     add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.saving.start, saving.PictureWork), savable)
     add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.saving.start, saving.LayersWork), savable)
     add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.saving.start, saving.VideoWork), savable)
+    add("save_into", "Save into …", "File", "",
+        lambda: app.open_dialog("Save into a folder", model.saving.choose_folder),
+        tooltip="Choose the folder of what is saved from now on")  # fmt: skip
+    add("copy_saved", "Copy the path of the last save", "File", "",
+        lambda: app.copy(str(model.saving.saved)),
+        lambda: None if model.saving.saved else "nothing has been saved")  # fmt: skip
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
@@ -75,9 +81,10 @@ def register(app: Workspace) -> None:
         attached, checked=lambda: model.follows,
         tooltip="On: its frames as they come, also of the next program of its name. "
         "Off: its last rendered frames, frozen")  # fmt: skip
-    add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S", model.save_recording,
+    add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S",
+        partial(model.saving.start, partial(saving.RecordingWork, recording=model.recording)),
         lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
-        tooltip="The rendered frames as a sequence in the working folder, for gffe check")  # fmt: skip
+        tooltip="The rendered frames as a sequence, for gffe check")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
     add(
@@ -119,10 +126,11 @@ def register(app: Workspace) -> None:
     add("one_to_one", "1 : 1", "View", "Ctrl+0", lambda: setattr(model.view, "zoom", 1.0), opened)
     add("zoom_in", "Zoom in", "View", "+", lambda: model.framing.zoom(2.0), opened, also=("=",))
     add("zoom_out", "Zoom out", "View", "-", lambda: model.framing.zoom(0.5), opened)
-    add("next_layer", "Next layer", "View", "Down", lambda: model.next_layer(1), opened, repeat=True)
-    add("previous_layer", "Previous layer", "View", "Up", lambda: model.next_layer(-1), opened, repeat=True)
+    add("next_layer", "Next layer", "View", "Down", lambda: model.walk.next_layer(1), opened, repeat=True)
+    add("previous_layer", "Previous layer", "View", "Up", lambda: model.walk.next_layer(-1), opened, repeat=True)
     add("next_channel", "Next channel", "View", "C", look(model.looks.next_channel), opened)
-    add("overview", "Overview of all layers", "View", "O", lambda: model.set_overview(not model.overview), opened,
+    add("overview", "Overview of all layers", "View", "O",
+        lambda: setattr(model, "overview", not model.overview), opened,
         checked=lambda: model.overview)  # fmt: skip
     add("disocclusions", "Disocclusions", "View", "X",
         lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
@@ -137,7 +145,7 @@ def register(app: Workspace) -> None:
     add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
     _copying(app, add, savable)
     _comparing(app, add, opened)
-    _finding(app, add, opened)
+    _finding(app, add, opened, savable)
     add("fly", "Fly the camera", "Camera", "G", model.flights.toggle, live, checked=lambda: model.flying,
         tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster")  # fmt: skip
     add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)
@@ -178,7 +186,7 @@ def _copying(app: Workspace, add, savable) -> None:
 
     def value():
         at, stale = model.values
-        return "" if at is None or stale else copying.value_of(model.contents, model.frame_text, model.view.a, at)
+        return "" if at is None or stale else copying.value_of(model.contents, model.captions.frame, model.view.a, at)
 
     def no_numbers():
         image = model.contents.image(model.view.a)
@@ -192,14 +200,10 @@ def _copying(app: Workspace, add, savable) -> None:
         assert image is not None and rectangle is not None  # as there are numbers
         return copying.numbers_of(image, rectangle)
 
-    def copy(text):
-        imgui.set_clipboard_text(text)
-        model.say(f"copied: {text}" if "\n" not in text else f"copied {text.count(chr(10)) + 1} rows of numbers")
-
-    add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: copy(value()),
+    add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: app.copy(value()),
         lambda: None if value() else "point at a pixel, or pick one",
         tooltip="Frame, layer, pixel and value")  # fmt: skip
-    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: copy(numbers()), no_numbers,
+    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: app.copy(numbers()), no_numbers,
         tooltip="Copy the numbers of the rectangle's pixels row by row, to paste them into a table")  # fmt: skip
     add(
         "copy_picture",
@@ -223,18 +227,21 @@ def _comparing(app: Workspace, add, opened) -> None:
         return reason or ("B is pictures, not settings" if model.kept.b and model.kept.b.place else None)
 
     def copy(kept: Kept | None = None):
-        line = printable(model.command_line(model.setup if kept is None else kept.setup(model.n)))
-        imgui.set_clipboard_text(line)
-        model.say(f"copied: {line}")
+        setup = model.setup if kept is None else kept.setup(model.n)
+        app.copy(printable(command_line(setup, model.source, model.plan.seed)))
 
-    add("keep", "Keep settings as B", "Compare", "K", model.keep_as_b, opened,
+    add("keep", "Keep settings as B", "Compare", "K", model.sides.keep, opened,
         tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
-    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.take_second,
+    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.sides.take_second,
         lambda: opened() or no_settings())  # fmt: skip
     add("b_from", "B from a folder …", "Compare", "Ctrl+K",
-        lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.take_b_from),
+        lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.sides.take_b_from),
         lambda: opened() or ("freeze the running program first" if model.follows else None),
         tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels")  # fmt: skip
+    add("b_baseline", "B from stored figures …", "Compare", "Alt+B",
+        lambda: app.open_dialog("Compare with stored figures", model.sides.take_b_from, of_file=True),
+        lambda: opened() or ("freeze the running program first" if model.follows else None),
+        tooltip="A baseline that the viewer has stored, or the JSON of gffe compare: its figures are B's")  # fmt: skip
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
         tooltip="Copy the command gffe run … with the present settings")  # fmt: skip
     add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
@@ -256,12 +263,16 @@ def _comparing(app: Workspace, add, opened) -> None:
         lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
 
 
-def _finding(app: Workspace, add, opened) -> None:
+def _finding(app: Workspace, add, opened, savable) -> None:
     """Register the actions that find wrong frames, regions and pixels."""
     model, survey, regions = app.model, app.model.survey, app.model.regions
     add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
         lambda: opened(), checked=lambda: survey.on,
         tooltip="Every generated frame, in the background: for the plot, and for finding frames")  # fmt: skip
+    add("save_figures", "Store figures as a baseline", "Find", "Alt+Shift+J",
+        lambda: model.saving.start(lambda subject: saving.FiguresWork(subject, survey.document())),
+        lambda: savable() or (None if survey.figures(survey.a) else "no frame is measured yet"),
+        tooltip="A's figures that are known, as JSON. Alt+B shows them as B's later")  # fmt: skip
     for id, text, key, find, tooltip in (
         ("worst", "Worst frame", "J", survey.worst, "By the quantity that is plotted"),
         ("next_worst", "Next worse frame", "Shift+J", survey.next, "In the order of the last search"),
@@ -284,7 +295,8 @@ def _finding(app: Workspace, add, opened) -> None:
         add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
             lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
             tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
-    add("next_invalid", "Next invalid pixel", "Find", "Shift+N", model.go_to_invalid,
+    add("next_invalid", "Next invalid pixel", "Find", "Shift+N",
+        lambda: model.walk.go_to_pixel(model.invalid.next(model.pointing.picked)),
         lambda: opened() or (None if model.invalid.count else "no NaN, infinity or invalid input in this picture"),
         tooltip="NaN, infinity, and pixels that the input has invalid; row by row")  # fmt: skip
     add("back", "Back to where the link was", "Find", "Backspace", model.walk.back,

@@ -124,11 +124,15 @@ def _quality(model: Model) -> None:
     widgets.toggle(
         "measure",
         model.measuring,
-        model.set_measuring,
+        lambda on: setattr(model, "measuring", on),
         f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
     )
-    score = model.metrics.get(model.slot)
-    second = model.metrics_of_second().get(model.slot) if model.contents.second is not None else None
+    survey = model.survey
+    if survey.baseline is not None:
+        imgui.text_wrapped(f"B's figures: {survey.baseline.name}")
+        if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_baseline"):
+            survey.baseline = None
+    score, second = (survey.figures(side).get(model.slot) for side in (survey.a, survey.b))
     if score is not None:
         known = [metric for metric in METRICS.values() if metric.name in score.values]
         a = "   ".join(metric.sentence(score.values[metric.name]) for metric in known)

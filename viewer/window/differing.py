@@ -15,9 +15,7 @@ from .interface import Interface
 
 def draw(app: Interface) -> None:
     model, study = app.model, app.model.studies.differing
-    reason = widgets.why_no_study(model, study)
-    if reason:
-        widgets.hint(reason)
+    if widgets.studied(model, study) is None:
         return
     first, shown = study.first, [one for one in study.all if one.differs or app.lists_equal]
     imgui.begin_disabled(first is None)
@@ -31,7 +29,6 @@ def draw(app: Interface) -> None:
     done = f"{len(study.found)} of {study.parts} stages …   " if study.busy else ""
     told = f"{done}{counted} of {len(study.all)} layers differ"
     widgets.hint(told if first or study.busy else "all layers are equal")
-    widgets.failures(study)
     with widgets.compact():
         for group, listed in groupby(shown, key=lambda one: one.spec.group):
             imgui.text_disabled(group)

@@ -63,5 +63,5 @@ def _findings(model: Model, doctor) -> None:
                 text = f"{name} in frame {frame}"
                 row(imgui.calc_text_size(text).x)
                 if imgui.text_link(f"{text}###place {finding.id} {name}"):
-                    model.go_to_input(frame, (x, y))
+                    model.walk.follow_input(frame, (x, y))
                 widgets.tooltip(f"rendered frame {frame}, pixel ({x}, {y}) of the input")

@@ -40,7 +40,7 @@ def draw(app: Interface) -> None:
     if model.walk.can_go_back:
         widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
     if model.pointing.story is not None:
-        imgui.begin_disabled(model.story_is_due or not model.current)
+        imgui.begin_disabled(model.pointing.story_is_due or not model.current)
         _story(model, model.pointing.story)
         imgui.end_disabled()
     if model.selection.rectangle is not None:

@@ -27,7 +27,12 @@ _OVERLAY_HELP = {
 
 def draw(app: Interface) -> None:
     model = app.model
-    widgets.toggle("overview", model.overview, model.set_overview, "Every layer as a tile; click one to open it")
+    widgets.toggle(
+        "overview",
+        model.overview,
+        lambda on: setattr(model, "overview", on),
+        "Every layer as a tile; click one to open it",
+    )
     widgets.choice("overlay", model.view.overlay, list(_OVERLAYS), lambda name: setattr(model.view, "overlay", name))
     if model.view.overlay in _OVERLAY_HELP:
         widgets.hint(_OVERLAY_HELP[model.view.overlay])

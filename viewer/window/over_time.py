@@ -17,14 +17,12 @@ _LEAST = 4.0  # em: height
 
 def draw(app: Interface) -> None:
     model, study = app.model, app.model.studies.over_time
-    reason = widgets.why_no_study(model, study)
-    here = model.studies.here
-    spec = None if reason or here is None else model.contents.spec(here.shown)
-    picture = None if reason or here is None else study.picture(here)
-    widgets.failures(study)
-    if picture is None or spec is None or here is None or here.pixel is None:
-        made = study.found and not study.busy
-        widgets.hint(reason or ("no frame has rows of this layer" if made else "computing …"))
+    here = widgets.studied(model, study)
+    if here is None:
+        return
+    spec, picture = model.contents.spec(here.shown), study.picture(here)
+    if picture is None or spec is None or here.pixel is None:
+        widgets.hint("no frame has rows of this layer" if study.found and not study.busy else "computing …")
         return
     rows, slots = picture
     size = rows.shape[1], rows.shape[0]

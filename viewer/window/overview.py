@@ -21,7 +21,7 @@ def draw(app: Interface, room: tuple[int, int]) -> None:
     model.pointing.hover(None)
     if imgui.begin_child("###tiles", ImVec2(*room)):
         caption = round(imgui.get_text_line_height() + 3)
-        tiles = model.overview_tiles()
+        tiles = model.looks.tiles()
         size = _size(len(tiles), room, model.contents.size, caption)
         size = size[0], min(size[1], app.canvas.largest)
         texture, places = app.canvas.overview(tiles, size, caption=caption, gap=_GAP)
@@ -64,5 +64,5 @@ def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
         marks.add_rect(ImVec2(left, top), ImVec2(right, bottom), imgui.get_color_u32(_ACCENT), 0, 2.0)
         imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
         if clicked:
-            model.set_overview(False)
+            model.overview = False
             model.show_layer(place.name)

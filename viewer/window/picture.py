@@ -308,7 +308,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     elif view.compare != "off" and view.b:
         first = model.contents.result
         settings = f"{told(first.setup)}   " if model.comparison.by_settings and first is not None else ""
-        builds = model.builds
+        builds = model.comparison.builds
         texts = (
             f"A  {settings}{builds[0]}{_layer_text(model, view.a)}", f"B  {builds[1]}{_layer_text(model, view.b)}"
         )  # fmt: skip
@@ -317,7 +317,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         label(b, width - 10, 8, right=True)
     else:
         label(_layer_text(model, view.a), 10, 8)
-    kind = f"{model.frame_text}   {view.zoom * 100:.0f} %"
+    kind = f"{model.captions.frame}   {view.zoom * 100:.0f} %"
     if found := model.invalid.text():
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
@@ -342,7 +342,7 @@ def _bars(model: Model, origin, width: int, height: int, marks) -> list[Rectangl
     top, high = 2.4 * em, min(height - 6.5 * em, 11 * em)
     if high < 4 * em or width < 20 * em:
         return covers
-    for entry in model.legends():
+    for entry in model.captions.legends():
         shown = entry.legend
         left = entry.title.startswith("A  ")
         at = origin.x + (0.3 * em if left else width - 0.3 * em), origin.y + top

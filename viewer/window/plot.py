@@ -106,7 +106,8 @@ def scale_of(least: float, most: float, count: float = 5.0) -> tuple[float, floa
         for factor in (1, 2, 5)
         if (high - low) / (factor * 10.0**power) <= 5
     )
-    levels = [number * step for number in range(math.ceil(low / step), math.floor(high / step) + 1)]
+    numbers = range(math.ceil(low / step), math.floor(high / step) + 1)
+    levels = [min(max(number * step, low), high) for number in numbers]  # they may lie beyond by rounding
     if len(levels) > count:
         levels = [levels[0], levels[-1]] if (levels[-1] - levels[0]) / (high - low) * count >= 1 else []
     digits = max(-math.floor(math.log10(step)), 0)
@@ -150,6 +151,10 @@ def _controls(app: Interface) -> None:
             row(imgui.calc_text_size(f"{label} {text}").x)
             imgui.text_colored(COLORS[label], label)
             imgui.same_line(0, em(0.3))
+            imgui.text(text)
+        if len(means) > 1:
+            text = f"A−B {QUANTITIES[survey.quantity].text(means['A'] - means['B'], '+')}"
+            row(imgui.calc_text_size(text).x)
             imgui.text(text)
         if means:
             text = f"mean of {count} frame{'s' * (count != 1)}" + " of both" * (len(means) > 1)

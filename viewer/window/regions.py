@@ -32,7 +32,9 @@ def draw(app: Interface) -> None:
     elif regions.map is not None:
         stale = not (regions.ready and model.current)
         imgui.begin_disabled(stale)
-        _table(regions, "frame", "this frame" + (" …" if stale else ""), regions.map.a, regions.map.b)
+        baseline = model.survey.figures(model.survey.b).get(model.slot) if regions.map.b is None else None
+        b = regions.map.b if baseline is None else baseline.parts or None
+        _table(regions, "frame", "this frame" + (" …" if stale else ""), regions.map.a, b)
         imgui.end_disabled()
     whole, count = model.survey.parts()
     if "A" in whole:
@@ -43,20 +45,24 @@ def draw(app: Interface) -> None:
 def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] | None) -> None:
     """Draw a row for each region; `of`: which frames, instead of a heading."""
     number = hello_imgui.em_size(2.6)
-    columns = [("pixels", number), ("error", 1.2 * number)]
-    columns += [("dB", number)] if b is None else [("A dB", number), ("B dB", number)]
+    columns = {"pixels": number, "error": 1.2 * number}
+    columns |= {"dB": number} if b is None else {"A dB": number, "B dB": number, "A−B": number}
     names = max(imgui.calc_text_size(region).x for region in REGIONS) + hello_imgui.em_size(1.5)
-    gaps = 2 * (len(columns) + 1) * imgui.get_style().cell_padding.x
-    if imgui.get_content_region_avail().x < sum(width for _, width in columns) + names + gaps:
-        del columns[0]  # also in the tooltip
+    for least in ("pixels", "B dB"):  # they are in the tooltip, too
+        gaps = 2 * (len(columns) + 1) * imgui.get_style().cell_padding.x
+        if imgui.get_content_region_avail().x < sum(columns.values()) + names + gaps:
+            columns.pop(least, None)
     if not imgui.begin_table(f"###regions {name}", len(columns) + 1, imgui.TableFlags_.row_bg.value):
         return
     imgui.table_setup_column(of, imgui.TableColumnFlags_.width_stretch.value)
-    for title, width in columns:
+    for title, width in columns.items():
         imgui.table_setup_column(title, imgui.TableColumnFlags_.width_fixed.value, width)
     imgui.table_headers_row()
     for number, (region, meaning) in enumerate(REGIONS.items()):
-        part = a[region]
+        part, texts = a[region], {"pixels": _share(a[region].pixels), "dB": _level(a[region].psnr)}
+        if b is not None:
+            difference = part.psnr - b[region].psnr
+            texts |= {"A dB": texts["dB"], "B dB": _level(b[region].psnr), "A−B": _level(difference, "+")}
         imgui.table_next_row()
         imgui.table_next_column()
         widgets.swatch(f"color {number}", region_colors()[region], 0.8)
@@ -64,18 +70,20 @@ def _table(regions, name: str, of: str, a: dict[str, Part], b: dict[str, Part] |
         text = widgets.cut(region, imgui.get_content_region_avail().x - hello_imgui.em_size(0.2))
         if imgui.selectable(f"{text}###{name} {region}", regions.only == region, spans)[0]:
             regions.see_only(region)
-        widgets.tooltip(f"{region}: {meaning}; {_share(part.pixels)} of the pixels")
-        if columns[0][0] == "pixels":
+        levels = f"; A {texts['A dB']} dB, B {texts['B dB']} dB" if b is not None else ""
+        widgets.tooltip(f"{region}: {meaning}; {texts['pixels']} of the pixels{levels}")
+        for title in columns:
             imgui.table_next_column()
-            imgui.text(_share(part.pixels))
-        imgui.table_next_column()
-        _bar(part.error)
-        widgets.tooltip("Share of A's squared error")
-        for side in (a, b):
-            if side is not None:
-                imgui.table_next_column()
-                imgui.text("–" if math.isnan(side[region].psnr) else f"{side[region].psnr:.1f}")
+            if title == "error":
+                _bar(part.error)
+                widgets.tooltip("Share of A's squared error")
+            else:
+                imgui.text(texts[title])
     imgui.end_table()
+
+
+def _level(level: float, sign: str = "") -> str:
+    return f"{level:{sign}.1f}" if math.isfinite(level) else "–"
 
 
 def _bar(share: float) -> None:

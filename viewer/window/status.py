@@ -7,7 +7,8 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.opencl.program import first_error
 from ..picture.legends import value_text
-from ..state.model import BUILD_LETTERS, Model
+from ..state.comparing import BUILD_LETTERS
+from ..state.model import Model
 from . import widgets
 from .interface import Interface
 
@@ -27,7 +28,11 @@ def draw(app: Interface) -> None:
         _beside(told)
         imgui.text_colored(widgets.red() if last.error else _BLUE, _icon(last.error))
         imgui.same_line()
-        imgui.text(widgets.cut(last.text.replace("\n", " "), imgui.get_content_region_avail().x))
+        text, saved = widgets.cut(last.text.replace("\n", " "), imgui.get_content_region_avail().x), model.saving.saved
+        if saved is not None and str(saved) in last.text:  # a click opens its folder
+            imgui.text_link_open_url(f"{text}###saved", str(saved.parent))
+        else:
+            imgui.text(text)
         widgets.tooltip("\n".join(message.text for message in shown))
         told = True
     _beside(told)
@@ -86,7 +91,7 @@ def _build(model: Model) -> str:
 def _under_pointer(model: Model) -> list[str]:
     """Return the value of the displayed layer under the pointer, in words; an empty list without one."""
     inspection, spec = model.pointing.inspection, model.contents.spec(model.view.a)
-    if inspection is None or not model.shows_values or spec is None or spec.name not in inspection.values:
+    if inspection is None or not model.pointing.shows_values or spec is None or spec.name not in inspection.values:
         return []
     x, y = inspection.pixel
     side = "A  " if model.view.compare != "off" else ""

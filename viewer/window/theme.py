@@ -51,3 +51,4 @@ def apply(name: str, scale: float) -> None:
         style.set_color_(grab, ImVec4(*color, 1.0))
     if name == "light":
         style.set_color_(col.text_disabled, ImVec4(0.42, 0.42, 0.42, 1.0))
+        style.set_color_(col.text_link, ImVec4(0.05, 0.36, 0.72, 1.0))

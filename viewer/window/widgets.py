@@ -14,7 +14,7 @@ from ..engine.messages import Failure
 from ..picture.colors import Rgb, wheel_color
 from ..picture.legends import Legend
 from ..state.model import Model
-from ..state.studies import Study
+from ..state.studies import Here, Study
 
 _RED = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.75, 0.12, 0.08, 1.0)  # on dark ground, and on light
 _GRABS = imgui.Col_.slider_grab.value, imgui.Col_.slider_grab_active.value
@@ -191,17 +191,18 @@ def choice(
         beside(label)
 
 
-def why_no_study(model: Model, study: Study) -> str:
-    """Have a study made while it is shown. Returns why there is nothing of it; empty if there is."""
+def studied(model: Model, study: Study) -> Here | None:
+    """Have a study made while it is shown, and draw the errors of frames that it wanted, each once, or why there is
+    nothing of it. Returns where it is made, None if there is nothing."""
     study.look()
     here = model.studies.here
-    return "Open a sequence or a scene" if here is None else study.why_not(here) or ""
-
-
-def failures(study: Study) -> None:
-    """Draw the errors of frames that a study wanted, each once."""
+    reason = "Open a sequence or a scene" if here is None else study.why_not(here)
+    if reason:
+        hint(reason)
+        return None
     for error in {made.error for made in study.found.values() if isinstance(made, Failure)}:
         colored(red(), error)
+    return here
 
 
 def hint(text: str) -> None:

@@ -8,7 +8,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from imgui_bundle import hello_imgui
+from imgui_bundle import hello_imgui, imgui
 from imgui_bundle import portable_file_dialogs as dialogs
 
 from ..state.model import Model
@@ -81,12 +81,19 @@ class Workspace(Interface):
         self.model.examine()
         self.docks.show("Doctor")
 
-    def open_dialog(self, title: str = "Open a sequence", use: Callable[[str], object] | None = None) -> None:
-        """Open the system's folder dialog if there is one, else a field for the path. `use` takes the path; None: it is
-        opened."""
+    def copy(self, text: str) -> None:
+        """Copy text to the clipboard."""
+        imgui.set_clipboard_text(text)
+        self.model.say(f"copied: {text}" if "\n" not in text else f"copied {text.count(chr(10)) + 1} rows of numbers")
+
+    def open_dialog(
+        self, title: str = "Open a sequence", use: Callable[[str], object] | None = None, of_file: bool = False
+    ) -> None:
+        """Open the system's dialog for folders, or `of_file` for files, if there is one, else a field for the path.
+        `use` takes the path; None: it is opened."""
         self._chosen = use or self.model.open
         if has_dialogs():
-            self._dialog = dialogs.select_folder(title, str(Path.cwd()))
+            self._dialog = (dialogs.open_file if of_file else dialogs.select_folder)(title, str(Path.cwd()))
         else:
             self.open_path.open(self._chosen, title)
 

@@ -72,14 +72,18 @@ Found run(const Wanted &wanted, bool is_copied) {
     Buffer shown = renderer.make_buffer(sets[0][0].size, is_shared);
     const cl_mem shown_memory = generator->take(shown);
 
+    const bool are_signaled = is_shared && generator->can_signal() && generator->take(renderer.make_semaphores());
     Found found;
+    int waits = 0;
     for (int k = 0; k < wanted.frames; ++k) {
         const double now = k * INTERVAL, next = now + INTERVAL / 2;
         Planes &planes = sets[k % 3];
+        const int before = renderer.waits() + generator->waits();
         renderer.render(now, now - INTERVAL, planes);
         generator->submit(planes, memory[k % 3], renderer.camera(now), now, k == 0);
         generator->make(renderer.camera(next), next, shown, shown_memory);
         found.made.push_back(renderer.show(shown));
+        waits += renderer.waits() + generator->waits() - before;
 
         renderer.render(now, now, truth);  // only to measure
         const auto rendered = renderer.show(truth[0]);
@@ -94,6 +98,8 @@ Found run(const Wanted &wanted, bool is_copied) {
         write_picture(wanted.out + "/truth.ppm", expected, wanted);
     }
     std::printf("PSNR: repeated %.2f dB, generated %.2f dB\n", found.repeated, found.generated);
+    std::printf("the host waits %d times a frame, %s semaphores\n", waits / wanted.frames,
+                are_signaled ? "with" : "without");
     if (is_shared)
         std::printf("acquiring and releasing: %.3f ms of the host a frame\n",
                     generator->shared_milliseconds() / wanted.frames);

@@ -9,6 +9,8 @@ namespace {
 // Of OpenCL 3.0 and its extensions cl_khr_device_uuid and cl_khr_external_memory; gffe.h asks for OpenCL 1.2 only.
 constexpr cl_device_info DEVICE_UUID = 0x106A;
 constexpr intptr_t OPAQUE_FD = 0x2060;
+// Of cl_khr_semaphore and cl_khr_external_semaphore.
+constexpr cl_ulong SEMAPHORE_TYPE = 0x203D, BINARY = 1, SEMAPHORE_OPAQUE_FD = 0x2055;
 using Create = cl_mem(CL_API_CALL *)(cl_context, const intptr_t *, cl_mem_flags, size_t, void *, cl_int *);
 
 template <typename Call> Call function(cl_platform_id platform, const char *name) {
@@ -51,6 +53,7 @@ Generator::Generator(const std::string &wanted) {
         platform_ = platforms[k];
         device_ = device;
         can_share_ = shares;
+        can_signal_ = shares && std::strstr(extensions, "cl_khr_external_semaphore_opaque_fd");
         name_ = name;
     }
     if (!device_) throw std::runtime_error("OpenCL: there is no platform '" + wanted + "' with a device");
@@ -62,6 +65,9 @@ Generator::Generator(const std::string &wanted) {
     acquire_ = function<Exchange>(platform_, "clEnqueueAcquireExternalMemObjectsKHR");
     release_ = function<Exchange>(platform_, "clEnqueueReleaseExternalMemObjectsKHR");
     can_share_ = can_share_ && acquire_ && release_ && creator(platform_);
+    wait_ = function<Switch>(platform_, "clEnqueueWaitSemaphoresKHR");
+    signal_ = function<Switch>(platform_, "clEnqueueSignalSemaphoresKHR");
+    can_signal_ = can_signal_ && can_share_ && wait_ && signal_;
 }
 
 void Generator::open(int width, int height) {
@@ -84,6 +90,20 @@ cl_mem Generator::take(Buffer &buffer) {
     return made;
 }
 
+bool Generator::take(const std::array<int, 2> &semaphores) {
+    using Make = Semaphore(CL_API_CALL *)(cl_context, const cl_ulong *, cl_int *);
+    const auto make = function<Make>(platform_, "clCreateSemaphoreWithPropertiesKHR");
+    if (semaphores[0] < 0) return false;
+    check(make ? CL_SUCCESS : CL_INVALID_OPERATION, "clCreateSemaphoreWithPropertiesKHR");
+    for (int k = 0; k < 2; ++k) {
+        const cl_ulong properties[] = {SEMAPHORE_TYPE, BINARY, SEMAPHORE_OPAQUE_FD, cl_ulong(semaphores[k]), 0};
+        cl_int error;
+        (k ? shown_ : rendered_) = make(context_, properties, &error);
+        check(error, "clCreateSemaphoreWithPropertiesKHR");
+    }
+    return true;
+}
+
 void Generator::exchange(Exchange call, const std::vector<cl_mem> &memory, cl_event *done) {
     const auto start = std::chrono::steady_clock::now();
     check(call(queue_, static_cast<cl_uint>(memory.size()), memory.data(), 0, nullptr, done), "external memory");
@@ -97,12 +117,10 @@ void Generator::submit(const Planes &planes, const std::array<cl_mem, 3> &memory
         check(
             clEnqueueWriteBuffer(queue_, memory[k], CL_FALSE, 0, planes[k].size, planes[k].mapped, 0, nullptr, nullptr),
             "clEnqueueWriteBuffer");
+    if (rendered_) check(wait_(queue_, 1, &rendered_, nullptr, 0, nullptr, nullptr), "clEnqueueWaitSemaphoresKHR");
     if (planes[0].is_shared) exchange(acquire_, {memory.begin(), memory.end()}, nullptr);  // in order, so no event
     check(gffe_submit(gffe_, memory[0], memory[1], memory[2], &camera, nullptr, time, reset));
-    if (!planes[0].is_shared) {
-        check(clFinish(queue_), "clFinish");  // Vulkan may write to the mapped memory again
-        return;
-    }
+    if (!planes[0].is_shared) return;  // `make` waits before Vulkan may write to the mapped memory again
     // The frame before the last one is no longer read: gffe uses two, and Vulkan renders into the third.
     in_use_.insert(in_use_.end(), memory.begin(), memory.end());
     if (in_use_.size() <= 6) return;
@@ -114,6 +132,7 @@ void Generator::make(const gffe_camera &camera, double time, Buffer &shown, cl_m
     gffe_frame made;
     check(gffe_extrapolate(gffe_, &camera, time, &made));
     if (!shown.is_shared) {
+        ++waits_;
         check(clEnqueueReadBuffer(queue_, made.color, CL_TRUE, 0, shown.size, shown.mapped, 0, nullptr, nullptr),
               "clEnqueueReadBuffer");
         return;
@@ -121,14 +140,26 @@ void Generator::make(const gffe_camera &camera, double time, Buffer &shown, cl_m
     exchange(acquire_, {memory}, nullptr);
     check(clEnqueueCopyBuffer(queue_, made.color, memory, 0, 0, shown.size, 0, nullptr, nullptr),
           "clEnqueueCopyBuffer");
-    exchange(release_, {memory}, nullptr);
-    check(clFinish(queue_), "clFinish");  // Vulkan shows it next
+    cl_event done = nullptr;
+    exchange(release_, {memory}, shown_ ? nullptr : &done);
+    if (shown_) {
+        check(signal_(queue_, 1, &shown_, nullptr, 0, nullptr, nullptr), "clEnqueueSignalSemaphoresKHR");
+        check(clFlush(queue_), "clFlush");
+        return;
+    }
+    ++waits_;
+    const cl_int error = clWaitForEvents(1, &done);  // Vulkan shows it next
+    clReleaseEvent(done);
+    check(error, "clWaitForEvents");
 }
 
 Generator::~Generator() {
     gffe_destroy(gffe_);
     if (!in_use_.empty()) release_(queue_, static_cast<cl_uint>(in_use_.size()), in_use_.data(), 0, nullptr, nullptr);
     if (queue_) clFinish(queue_);
+    using Release = cl_int(CL_API_CALL *)(Semaphore);
+    for (Semaphore one : {rendered_, shown_})
+        if (one) function<Release>(platform_, "clReleaseSemaphoreKHR")(one);
     for (cl_mem one : taken_) clReleaseMemObject(one);
     if (queue_) clReleaseCommandQueue(queue_);
     if (context_) clReleaseContext(context_);

@@ -23,16 +23,24 @@ class Generator {
 
     // Takes the memory of a buffer of Vulkan, or makes a buffer beside it. It must be closed before Vulkan's.
     cl_mem take(Buffer &buffer);
+    // Takes the semaphores of `Renderer::make_semaphores`, if there are any, and returns whether it can: `submit` waits
+    // for the first then, and `make` signals the second, instead of the host.
+    bool take(const std::array<int, 2> &semaphores);
+    bool can_signal() const { return can_signal_; }
     // Submits what Vulkan rendered into `planes`, which `memory` holds; copies it before, where it is not shared.
     void submit(const Planes &planes, const std::array<cl_mem, 3> &memory, const gffe_camera &camera, double time,
                 bool reset);
-    // Makes the frame of `time` into `shown`, which `memory` holds, and waits for it.
+    // Makes the frame of `time` into `shown`, which `memory` holds. The host waits for it unless there are semaphores.
     void make(const gffe_camera &camera, double time, Buffer &shown, cl_mem memory);
     double shared_milliseconds() const { return shared_milliseconds_; }  // spent with acquiring and releasing
+    int waits() const { return waits_; }                                 // so often the host has waited
 
   private:
     using Exchange = cl_int(CL_API_CALL *)(cl_command_queue, cl_uint, const cl_mem *, cl_uint, const cl_event *,
                                            cl_event *);
+    using Semaphore = struct _cl_semaphore_khr *;
+    using Switch = cl_int(CL_API_CALL *)(cl_command_queue, cl_uint, const Semaphore *, const cl_ulong *, cl_uint,
+                                         const cl_event *, cl_event *);
     void check(cl_int error, const char *call) const;
     void check(gffe_status status) const;
     void exchange(Exchange call, const std::vector<cl_mem> &memory, cl_event *done);
@@ -44,8 +52,11 @@ class Generator {
     gffe *gffe_ = nullptr;
     std::string name_;
     std::array<uint8_t, 16> uuid_{};
-    bool can_share_ = false;
+    bool can_share_ = false, can_signal_ = false;
     Exchange acquire_ = nullptr, release_ = nullptr;
+    Switch wait_ = nullptr, signal_ = nullptr;
+    Semaphore rendered_ = nullptr, shown_ = nullptr;
+    int waits_ = 0;
     std::vector<cl_mem> taken_, in_use_;  // all; those of the last two frames
     double shared_milliseconds_ = 0;
 };

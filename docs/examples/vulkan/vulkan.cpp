@@ -107,15 +107,19 @@ void Renderer::open(const uint8_t *uuid) {
     while (family_ < families && !(queues[family_].queueFlags & VK_QUEUE_GRAPHICS_BIT)) ++family_;
     if (family_ == families) throw std::runtime_error(name_ + ": no queue for graphics");
 
-    const char *const wanted = "VK_KHR_external_memory_fd";
+    const char *const wanted[2] = {"VK_KHR_external_memory_fd", "VK_KHR_external_semaphore_fd"};
     uint32_t extensions = 0;
     vkEnumerateDeviceExtensionProperties(physical_, nullptr, &extensions, nullptr);
     std::vector<VkExtensionProperties> offered(extensions);
     vkEnumerateDeviceExtensionProperties(physical_, nullptr, &extensions, offered.data());
-    for (const auto &one : offered) can_share_ |= is_opencls && !std::strcmp(one.extensionName, wanted);
+    for (const auto &one : offered) {
+        can_share_ |= is_opencls && !std::strcmp(one.extensionName, wanted[0]);
+        can_signal_ |= is_opencls && !std::strcmp(one.extensionName, wanted[1]);
+    }
 #ifdef _WIN32
     can_share_ = false;  // handles of Windows are imported otherwise
 #endif
+    can_signal_ = can_signal_ && can_share_;
     const float priority = 1;
     VkDeviceQueueCreateInfo queue{VK_STRUCTURE_TYPE_DEVICE_QUEUE_CREATE_INFO};
     queue.queueFamilyIndex = family_;
@@ -124,8 +128,8 @@ void Renderer::open(const uint8_t *uuid) {
     VkDeviceCreateInfo device{VK_STRUCTURE_TYPE_DEVICE_CREATE_INFO};
     device.queueCreateInfoCount = 1;
     device.pQueueCreateInfos = &queue;
-    device.enabledExtensionCount = can_share_;
-    device.ppEnabledExtensionNames = &wanted;
+    device.enabledExtensionCount = can_share_ + can_signal_;
+    device.ppEnabledExtensionNames = wanted;
     check(vkCreateDevice(physical_, &device, nullptr, &device_), "vkCreateDevice");
     vkGetDeviceQueue(device_, family_, 0, &queue_);
 
@@ -137,9 +141,30 @@ void Renderer::open(const uint8_t *uuid) {
     commands.commandPool = pool_;
     commands.level = VK_COMMAND_BUFFER_LEVEL_PRIMARY;
     commands.commandBufferCount = 1;
-    check(vkAllocateCommandBuffers(device_, &commands, &commands_), "vkAllocateCommandBuffers");
     const VkFenceCreateInfo fence{VK_STRUCTURE_TYPE_FENCE_CREATE_INFO, nullptr, 0};
-    check(vkCreateFence(device_, &fence, nullptr, &fence_), "vkCreateFence");
+    for (Work *work : {&rendering_, &showing_}) {
+        check(vkAllocateCommandBuffers(device_, &commands, &work->commands), "vkAllocateCommandBuffers");
+        check(vkCreateFence(device_, &fence, nullptr, &work->fence), "vkCreateFence");
+    }
+}
+
+std::array<int, 2> Renderer::make_semaphores() {
+    std::array<int, 2> made{-1, -1};
+#ifndef _WIN32
+    if (!can_signal_) return made;
+    const VkExternalSemaphoreHandleTypeFlagBits kind = VK_EXTERNAL_SEMAPHORE_HANDLE_TYPE_OPAQUE_FD_BIT;
+    const auto descriptor =
+        reinterpret_cast<PFN_vkGetSemaphoreFdKHR>(vkGetDeviceProcAddr(device_, "vkGetSemaphoreFdKHR"));
+    const VkExportSemaphoreCreateInfo exported{VK_STRUCTURE_TYPE_EXPORT_SEMAPHORE_CREATE_INFO, nullptr, kind};
+    const VkSemaphoreCreateInfo info{VK_STRUCTURE_TYPE_SEMAPHORE_CREATE_INFO, &exported, 0};
+    for (int k = 0; k < 2; ++k) {
+        VkSemaphore &one = k ? shown_ : rendered_;
+        check(vkCreateSemaphore(device_, &info, nullptr, &one), "vkCreateSemaphore");
+        const VkSemaphoreGetFdInfoKHR get{VK_STRUCTURE_TYPE_SEMAPHORE_GET_FD_INFO_KHR, nullptr, one, kind};
+        check(descriptor(device_, &get, &made[k]), "vkGetSemaphoreFdKHR");
+    }
+#endif
+    return made;
 }
 
 // ---- memory --------------------------------------------------------------------------------------------
@@ -365,24 +390,37 @@ gffe_camera Renderer::camera(double now) const {
     return made;
 }
 
-void Renderer::begin() {
+void Renderer::begin(Work &work) {
+    if (work.is_begun) wait(work);  // long done: `show` has waited for what came after it
     VkCommandBufferBeginInfo info{VK_STRUCTURE_TYPE_COMMAND_BUFFER_BEGIN_INFO};
     info.flags = VK_COMMAND_BUFFER_USAGE_ONE_TIME_SUBMIT_BIT;
-    check(vkBeginCommandBuffer(commands_, &info), "vkBeginCommandBuffer");
+    check(vkBeginCommandBuffer(work.commands, &info), "vkBeginCommandBuffer");
 }
 
-void Renderer::submit() {
-    check(vkEndCommandBuffer(commands_), "vkEndCommandBuffer");
+void Renderer::submit(Work &work, VkSemaphore waited, VkSemaphore signaled) {
+    check(vkEndCommandBuffer(work.commands), "vkEndCommandBuffer");
+    const VkPipelineStageFlags stage = VK_PIPELINE_STAGE_ALL_COMMANDS_BIT;
     VkSubmitInfo info{VK_STRUCTURE_TYPE_SUBMIT_INFO};
+    info.waitSemaphoreCount = waited != VK_NULL_HANDLE;
+    info.pWaitSemaphores = &waited;
+    info.pWaitDstStageMask = &stage;
     info.commandBufferCount = 1;
-    info.pCommandBuffers = &commands_;
-    check(vkQueueSubmit(queue_, 1, &info, fence_), "vkQueueSubmit");
-    check(vkWaitForFences(device_, 1, &fence_, VK_TRUE, UINT64_MAX), "vkWaitForFences");
-    check(vkResetFences(device_, 1, &fence_), "vkResetFences");
+    info.pCommandBuffers = &work.commands;
+    info.signalSemaphoreCount = signaled != VK_NULL_HANDLE;
+    info.pSignalSemaphores = &signaled;
+    check(vkQueueSubmit(queue_, 1, &info, work.fence), "vkQueueSubmit");
+    work.is_begun = true;
+}
+
+void Renderer::wait(Work &work) {
+    check(vkWaitForFences(device_, 1, &work.fence, VK_TRUE, UINT64_MAX), "vkWaitForFences");
+    check(vkResetFences(device_, 1, &work.fence), "vkResetFences");
+    work.is_begun = false;
 }
 
 void Renderer::render(double now, double before, Planes &planes) {
-    begin();
+    begin(rendering_);
+    const VkCommandBuffer commands = rendering_.commands;
     VkClearValue clear[4]{};
     clear[0].color = {{0.1f, 0.2f, 0.4f, 1}};
     clear[1].color.float32[0] = std::numeric_limits<float>::infinity();  // depth of the sky
@@ -393,18 +431,18 @@ void Renderer::render(double now, double before, Planes &planes) {
     pass.renderArea.extent = {width_, height_};
     pass.clearValueCount = 4;
     pass.pClearValues = clear;
-    vkCmdBeginRenderPass(commands_, &pass, VK_SUBPASS_CONTENTS_INLINE);
-    vkCmdBindPipeline(commands_, VK_PIPELINE_BIND_POINT_GRAPHICS, pipeline_);
+    vkCmdBeginRenderPass(commands, &pass, VK_SUBPASS_CONTENTS_INLINE);
+    vkCmdBindPipeline(commands, VK_PIPELINE_BIND_POINT_GRAPHICS, pipeline_);
     const Matrix clip = clip_from_world(camera(now), width_, height_);
     const Matrix old_clip = clip_from_world(camera(before), width_, height_);
     for (int number = 0; number <= BOXES; ++number) {
         float matrices[32];
         put(product(clip, world_from_model(number, now)), matrices);
         put(product(old_clip, world_from_model(number, before)), matrices + 16);
-        vkCmdPushConstants(commands_, layout_, VK_SHADER_STAGE_VERTEX_BIT, 0, sizeof matrices, matrices);
-        vkCmdDraw(commands_, 36, 1, 0, static_cast<uint32_t>(number));
+        vkCmdPushConstants(commands, layout_, VK_SHADER_STAGE_VERTEX_BIT, 0, sizeof matrices, matrices);
+        vkCmdDraw(commands, 36, 1, 0, static_cast<uint32_t>(number));
     }
-    vkCmdEndRenderPass(commands_);
+    vkCmdEndRenderPass(commands);
 
     std::vector<VkBufferMemoryBarrier> given, taken;
     VkBufferImageCopy region{};
@@ -417,19 +455,24 @@ void Renderer::render(double now, double before, Planes &planes) {
         taken.back().srcQueueFamilyIndex = given.back().dstQueueFamilyIndex = VK_QUEUE_FAMILY_EXTERNAL;
         taken.back().dstQueueFamilyIndex = given.back().srcQueueFamilyIndex = family_;
     }
-    vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT, 0, 0, nullptr, 3,
+    vkCmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT, VK_PIPELINE_STAGE_TRANSFER_BIT, 0, 0, nullptr, 3,
                          taken.data(), 0, nullptr);
     for (int k = 0; k < 3; ++k)
-        vkCmdCopyImageToBuffer(commands_, images_[k].image, VK_IMAGE_LAYOUT_TRANSFER_SRC_OPTIMAL, planes[k].buffer, 1,
+        vkCmdCopyImageToBuffer(commands, images_[k].image, VK_IMAGE_LAYOUT_TRANSFER_SRC_OPTIMAL, planes[k].buffer, 1,
                                &region);
-    vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT,
+    vkCmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT,
                          planes[0].is_shared ? VK_PIPELINE_STAGE_BOTTOM_OF_PIPE_BIT : VK_PIPELINE_STAGE_HOST_BIT, 0, 0,
                          nullptr, 3, given.data(), 0, nullptr);
-    submit();
+    const VkSemaphore signaled = planes[0].is_shared ? rendered_ : VK_NULL_HANDLE;
+    submit(rendering_, VK_NULL_HANDLE, signaled);
+    if (signaled) return;
+    ++waits_;
+    wait(rendering_);
 }
 
 std::vector<uint16_t> Renderer::show(const Buffer &color) {
-    begin();
+    begin(showing_);
+    const VkCommandBuffer commands = showing_.commands;
     VkBufferMemoryBarrier taken =
         barrier(color, color.is_shared ? 0 : VK_ACCESS_HOST_WRITE_BIT, VK_ACCESS_TRANSFER_READ_BIT);
     VkBufferMemoryBarrier given = barrier(color, VK_ACCESS_TRANSFER_READ_BIT, 0);
@@ -439,13 +482,15 @@ std::vector<uint16_t> Renderer::show(const Buffer &color) {
     }
     const VkBufferMemoryBarrier read[2] = {given,
                                            barrier(readback_, VK_ACCESS_TRANSFER_WRITE_BIT, VK_ACCESS_HOST_READ_BIT)};
-    vkCmdPipelineBarrier(commands_, color.is_shared ? VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT : VK_PIPELINE_STAGE_HOST_BIT,
+    vkCmdPipelineBarrier(commands, color.is_shared ? VK_PIPELINE_STAGE_TOP_OF_PIPE_BIT : VK_PIPELINE_STAGE_HOST_BIT,
                          VK_PIPELINE_STAGE_TRANSFER_BIT, 0, 0, nullptr, 1, &taken, 0, nullptr);
     const VkBufferCopy whole{0, 0, readback_.size};
-    vkCmdCopyBuffer(commands_, color.buffer, readback_.buffer, 1, &whole);
-    vkCmdPipelineBarrier(commands_, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 0, nullptr, 2, read,
+    vkCmdCopyBuffer(commands, color.buffer, readback_.buffer, 1, &whole);
+    vkCmdPipelineBarrier(commands, VK_PIPELINE_STAGE_TRANSFER_BIT, VK_PIPELINE_STAGE_HOST_BIT, 0, 0, nullptr, 2, read,
                          0, nullptr);
-    submit();
+    submit(showing_, color.is_shared ? shown_ : VK_NULL_HANDLE, VK_NULL_HANDLE);
+    ++waits_;
+    wait(showing_);  // for the host's copy: a swapchain would present
     const auto *first = static_cast<const uint16_t *>(readback_.mapped);
     return {first, first + readback_.size / sizeof *first};
 }
@@ -463,7 +508,8 @@ Renderer::~Renderer() {
             vkDestroyImage(device_, one.image, nullptr);
             vkFreeMemory(device_, one.memory, nullptr);
         }
-        vkDestroyFence(device_, fence_, nullptr);
+        for (Work *work : {&rendering_, &showing_}) vkDestroyFence(device_, work->fence, nullptr);
+        for (VkSemaphore one : {rendered_, shown_}) vkDestroySemaphore(device_, one, nullptr);
         vkDestroyCommandPool(device_, pool_, nullptr);
         vkDestroyDevice(device_, nullptr);
     }

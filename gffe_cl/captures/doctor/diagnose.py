@@ -502,8 +502,18 @@ def _judge_order(
         add("frames: misfit at the end", index, when=ends[index])
     breaks = {index: one for index, one in breaks.items() if index not in ends}
     shifts = {index: one for index, one in breaks.items() if isinstance(one, Shift)}
+    undone: set[int] = set()  # where the next frame goes back: one camera is off
+    for k, shift in shifts.items():
+        if k - 1 not in undone and k + 1 in shifts and shift.is_undone_by(shifts[k + 1]):
+            undone.add(k)
     for index, shift in shifts.items():
-        add("camera: origin shifted", index, {"matrix": shift.matrix.tolist()}, shift=shift)
+        if index - 1 in undone:
+            continue
+        look, figures, whose = looks[index], {"matrix": shift.matrix.tolist()}, {}
+        if index in undone:
+            same = np.array_equal(look.camera.world_to_view, look.camera_of(PREVIOUS).world_to_view)
+            whose = {"is_whose": "is that of the frame before" if same else "is not where those beside it lead"}
+        add("camera: off in one frame" if whose else "camera: origin shifted", index, figures, shift=shift, **whose)
     for index, factor in breaks.items():
         if isinstance(factor, Shift):
             continue

@@ -11,7 +11,8 @@ FAULT, WARNING, NOTE, UNKNOWN = "fault", "warning", "note", "cannot tell"
 DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, LOGARITHMIC = "display values", "bottom-up", "range", "logarithmic"
 NEVER_WRITTEN, UNEXPLAINED, NO_LAW = "never written", "unexplained", "no known law"
 DILATED, INTERFACE, REPEATED = "dilated", "user interface", "repeated"
-TWICE, ORIGIN_SHIFTED, IN_PART = "recorded twice", "origin shifted", "partly another convention"
+TWICE, ORIGIN_SHIFTED, ONE_OFF = "recorded twice", "origin shifted", "off in one frame"
+IN_PART = "partly another convention"
 JITTER, NO_JITTER = "jitter not removed", "jitter missing"
 OTHER_FRAME = "one frame late", "one frame early"  # buffers, and cameras
 _MOST_NAMED = 12
@@ -165,7 +166,9 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
     },
     (FAULT, "cameras are moved back"): {
         "camera: origin shifted": "from frame {frame} ({file}) on they are {shift}: the origin of the world was"
-        " shifted, as vectors and colors go on",
+        " shifted, as vectors and colors continue without a break",
+        "camera: off in one frame": "the camera of frame {frame} ({file}) {is_whose}, while vectors and colors continue"
+        " without a break: it is {shift} against what they show",
     },
     (FAULT, "matrices are transposed"): {
         "camera: transposed": "camera matrices are transposed: they are for row vectors, the translation is in the last"

@@ -10,7 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis
-from gffe_cl.captures.doctor.findings import ORIGIN_SHIFTED
+from gffe_cl.captures.doctor.findings import ONE_OFF, ORIGIN_SHIFTED
 from gffe_cl.captures.doctor.hypotheses.depths import (
     AS_GIVEN,
     DEVICE,
@@ -54,8 +54,12 @@ class Repair:
         self._read = lru_cache(_KEPT)(lambda index: made.read(made.rendered[index]))
         self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
-        shifts = [f.figures for f in diagnosis.faults if f.name == ORIGIN_SHIFTED]
-        self._shifts = {clip.rendered[one["frame"]].time: np.array(one["matrix"]) for one in shifts}
+
+        def matrices(name: str) -> dict[float, np.ndarray]:
+            figures = [fault.figures for fault in diagnosis.faults if fault.name == name]
+            return {clip.rendered[one["frame"]].time: np.array(one["matrix"]) for one in figures}
+
+        self._shifts, self._alone = matrices(ORIGIN_SHIFTED), matrices(ONE_OFF)
         self._comparisons: list[tuple[str, ResidualChange]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
         count = len(made.rendered)
@@ -121,7 +125,8 @@ class Repair:
     def camera(self, camera: Camera, time: float) -> Camera:
         """Return the repaired camera of the given one at a time in seconds, with its jitter completed."""
         read = self._reading.camera.read(camera)
-        shifts = [shift for start, shift in sorted(self._shifts.items(), reverse=True) if start <= time]
+        shifts = [self._alone[time]] if time in self._alone else []
+        shifts += [shift for start, shift in sorted(self._shifts.items(), reverse=True) if start <= time]
         if self._translation == 1 and not shifts:
             return read
         matrix = read.world_to_view.copy()

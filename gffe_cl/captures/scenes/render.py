@@ -16,7 +16,6 @@ from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.remote_workers import Cluster, device_of_worker
 
 _MOST_SCALE = 4
 
@@ -24,7 +23,7 @@ _MOST_SCALE = 4
 def render_sequence(
     scene: Scene,
     output: Path,
-    device: Device | None,
+    device: Device,
     width: int,
     height: int,
     frames: int,
@@ -38,7 +37,6 @@ def render_sequence(
     scale: float = 1.0,
     encoding: Encoding = EXACT,
     compression: str = DEFAULT_COMPRESSION,
-    cluster: Cluster | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> int:
     """Render `frames` frames of `scene` at `fps` into the folder `output`, and return how many were written.
@@ -47,10 +45,8 @@ def render_sequence(
     before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
     `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
     display. `samples` per pixel: 8 if None, 1 of jittered frames. Rendered frames are stored by `encoding`; truth is
-    exact but for its camera and a user interface. `compression` is that of the EXRs (see `SequenceWriter`). With a
-    `cluster` its workers render the frames that are written here, each on the device that GFFE_DEVICE chooses there;
-    `device` may be None, but adaptive windows and jittered samples are not possible, because they follow from frame to
-    frame. `on_frame` is called after every frame. Raises GffeError.
+    exact but for its camera and a user interface. `compression` is that of the EXRs (see `SequenceWriter`).
+    `on_frame` is called after every frame. Raises GffeError.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
@@ -58,8 +54,6 @@ def render_sequence(
         raise GffeError(f"--fps must be positive, got {fps:g}")
     if per_frame < 0:
         raise GffeError(f"-n must be at least 0 frames in between, got {per_frame}")
-    if cluster and window == "adaptive":
-        raise GffeError("--window adaptive follows from frame to frame (expected off or fixed with --scheduler)")
     alphas = [j / (per_frame + 1) for j in range(1, per_frame + 1)]
     if not 1 <= scale <= _MOST_SCALE:
         raise GffeError(f"--scale must be 1 to {_MOST_SCALE}, got {scale:g}")
@@ -67,8 +61,6 @@ def render_sequence(
     jitter = jitter or Jitter()
     if encoding.is_on_display and not (window == "off" and jitter.length == 1 and scale == 1):
         raise GffeError("--encode: taa, jittered, half and hud exclude --window, --jitter and --scale")
-    if cluster and encoding.is_rendered:
-        raise GffeError("--encode: taa, jittered and half follow from frame to frame (expected none with --scheduler)")
     samples = samples or (1 if jitter.length > 1 else 8)
     job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale, encoding)
     writing = SequenceWriter(
@@ -76,7 +68,7 @@ def render_sequence(
         format=encoding.format,
     )  # fmt: skip
     with writing as writer:
-        for entry, channels in _on_workers(job, frames, cluster) if cluster else _here(job, frames, device):
+        for entry, channels in _rendered(job, frames, device):
             writer.add(entry, channels)
             on_frame()
     return frames * (1 + len(alphas) * ground_truth)
@@ -104,24 +96,11 @@ class _Job:
         )
 
 
-def _here(job: _Job, count: int, device: Device | None) -> Iterator[tuple[FrameEntry, dict]]:
-    assert device is not None  # without a cluster
+def _rendered(job: _Job, count: int, device: Device) -> Iterator[tuple[FrameEntry, dict]]:
     made, before = EncodedFrames(job.frames(device), job.encoding), None
     for k, frame in enumerate(made.frames.sequence(count, job.fps)):
         yield from _written(job, made, k, frame, before)
         before = frame
-
-
-def _on_workers(job: _Job, count: int, cluster: Cluster) -> Iterator[tuple[FrameEntry, dict]]:
-    for _, written in cluster.compute(_frame_on_worker, {str(k): (job, k) for k in range(count)}, in_order=True):
-        yield from written
-
-
-def _frame_on_worker(job: _Job, k: int) -> list[tuple[FrameEntry, dict]]:
-    frames = job.frames(device_of_worker(None))
-    before = frames.unrendered((k - 1) * (1.0 / job.fps), k - 1) if k else None
-    frame = frames.rendered(k * (1.0 / job.fps), before, k)
-    return list(_written(job, EncodedFrames(frames, job.encoding), k, frame, before))
 
 
 def _written(

@@ -37,6 +37,8 @@ def scalar(value: Any) -> Any:
 
 def is_number(value: Any) -> bool:
     """Return whether `value` is a finite number: no bool, no text, nothing over 1e300."""
+    if type(value) is float:  # mostly
+        return -LARGEST < value < LARGEST
     value = scalar(value)
     return isinstance(value, NUMBERS) and not isinstance(value, (bool, *TIMES)) and bool(-LARGEST < value < LARGEST)
 

@@ -20,7 +20,7 @@ LINKS = "connectivity.links"  # neighbors of one surface, a bit each
 TARGET_POSITION = "prediction.target_position"
 BORDER_LINES = "holes.border_lines"
 COVERAGE = "silhouettes.coverage"
-FOCUS_MASK = "correction.focus_mask"
+FOCUS_MASK, FOLLOWED = "correction.focus_mask", "shading_flow.followed"
 UPSCALED, REJECTED, LOCK = "upscaling.history", "upscaling.rejected", "upscaling.lock"
 
 

@@ -21,8 +21,11 @@ from gffe_cl.engine.core.validation import require_choice, require_kind, require
 from gffe_cl.engine.opencl.device import Device, list_devices
 from gffe_cl.engine.opencl.handles import adopted_events
 
-_GL, _MEMORY = "cl_khr_gl_sharing", "cl_khr_external_memory"
+_GL, _MEMORY, _SEMAPHORE = "cl_khr_gl_sharing", "cl_khr_external_memory", "cl_khr_external_semaphore"
 _IMPORTED_TYPES = 0x204F  # CL_DEVICE_EXTERNAL_MEMORY_IMPORT_HANDLE_TYPES_KHR
+_IMPORTED_SEMAPHORES = 0x204D  # CL_DEVICE_SEMAPHORE_IMPORT_HANDLE_TYPES_KHR
+_SEMAPHORE_TYPE, _BINARY = 0x203D, 1
+_SEMAPHORE_TYPES = {"opaque_fd": 0x2055, "opaque_win32": 0x2056, "opaque_win32_kmt": 0x2057}
 _HANDLE_TYPES = {
     "opaque_fd": 0x2060,
     "opaque_win32": 0x2061,
@@ -48,10 +51,13 @@ class SharingSupport:
     memory : tuple of str
         Memory of other APIs (`MemorySharing`), by the types of handles that can be imported: "opaque_fd", "dma_buf"
         (Linux), "opaque_win32", "opaque_win32_kmt", "d3d12_heap", "d3d12_resource" (Windows); empty: none.
+    semaphores : tuple of str
+        Semaphores of Vulkan (`MemorySharing.semaphore`), likewise: "opaque_fd", "opaque_win32", "opaque_win32_kmt".
     """
 
     opengl: bool
     memory: tuple[str, ...]
+    semaphores: tuple[str, ...] = ()
 
 
 def sharing_support(device: Device) -> SharingSupport:
@@ -59,13 +65,18 @@ def sharing_support(device: Device) -> SharingSupport:
     Device."""
     own = require_kind(device, Device, "sharing_support: device", "an open Device").cl_device
     extensions = _extensions(own)
-    found: list[int] = []
-    if _MEMORY in extensions:
+
+    def imported(extension: str, question: int, names: dict[str, int]) -> tuple[str, ...]:
+        if extension not in extensions:
+            return ()
         ask = _function(own.platform, "clGetDeviceInfo", _INT, _P, _UINT, _SIZE, _P, _P)
         nbytes, types = _SIZE(), (_UINT * 16)()
-        if ask(own.int_ptr, _IMPORTED_TYPES, ct.sizeof(types), types, ct.byref(nbytes)) == 0:
-            found = types[: nbytes.value // ct.sizeof(_UINT)]
-    return SharingSupport(_GL in extensions, tuple(name for name, number in _HANDLE_TYPES.items() if number in found))
+        error = ask(own.int_ptr, question, ct.sizeof(types), types, ct.byref(nbytes))
+        found = () if error else types[: nbytes.value // ct.sizeof(_UINT)]
+        return tuple(name for name, number in names.items() if number in found)
+
+    memory = imported(_MEMORY, _IMPORTED_TYPES, _HANDLE_TYPES)
+    return SharingSupport(_GL in extensions, memory, imported(_SEMAPHORE, _IMPORTED_SEMAPHORES, _SEMAPHORE_TYPES))
 
 
 class _Sharing:
@@ -92,12 +103,17 @@ class _Sharing:
         self.device = device
 
     def _enqueue(self, command: str, buffers: Any, wait_for: Any) -> cl.Event:
-        queue = self.device.queue
         listed = require_list(buffers, cl.Buffer, "sharing: buffers", "a list of pyopencl.Buffers")
+        return self._call(command, listed, wait_for)
+
+    def _call(self, command: str, listed: list, wait_for: Any, *more: None) -> cl.Event:
+        """Enqueue a command on buffers or semaphores, and return its event. `more`: its arguments after these."""
+        queue = self.device.queue
         events = adopted_events(wait_for, self.device.context, "sharing: wait_for")
-        call = _function(self.device.cl_device.platform, command, _INT, _P, _UINT, _P, _UINT, _P, _P)
+        optional, given = [_P] * len(more), (len(listed), _handles(listed), *more)
+        call = _function(self.device.cl_device.platform, command, _INT, _P, _UINT, _P, *optional, _UINT, _P, _P)
         event = _P()
-        error = call(queue.int_ptr, len(listed), _handles(listed), len(events), _handles(events), ct.byref(event))
+        error = call(queue.int_ptr, *given, len(events), _handles(events), ct.byref(event))
         _require_success(command, error)
         queue.flush()
         made: Any = event.value
@@ -170,6 +186,7 @@ class GlSharing(_Sharing):
 class MemorySharing(_Sharing):
     """Sharing of memory of Vulkan or Direct3D 12, which OpenCL uses in place. `buffer` imports it. `acquire` and
     `release` (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
+    With semaphores (`semaphore`, `wait`, `signal`) no host waits between the APIs.
 
     Parameters
     ----------
@@ -185,7 +202,8 @@ class MemorySharing(_Sharing):
     _commands = ("clEnqueueAcquireExternalMemObjectsKHR", "clEnqueueReleaseExternalMemObjectsKHR")
 
     def __init__(self, device: Device):
-        self.types = sharing_support(device).memory
+        support = sharing_support(device)
+        self.types, self.semaphore_types = support.memory, support.semaphores
         super().__init__(device, bool(self.types), f"external memory ({_MEMORY})")
 
     def buffer(self, kind: str, handle: int, nbytes: int) -> cl.Buffer:
@@ -206,6 +224,47 @@ class MemorySharing(_Sharing):
         _require_success(name, error.value)
         buffer: Any = cl.Buffer.from_int_ptr(made, retain=False)
         return buffer
+
+    def semaphore(self, kind: str, handle: int) -> SharedSemaphore:
+        """Return a binary semaphore that Vulkan exported, for `wait` and `signal`.
+
+        `kind` is a type of handle that `SharingSupport.semaphores` lists, `handle` a file descriptor, which belongs to
+        the driver afterwards, or a Windows handle. Raises GffeError for other values, and where the driver refuses it
+        or offers no semaphores.
+        """
+        if not self.semaphore_types:
+            raise GffeError(f"{self.device.info.name}: the driver does not offer semaphores ({_SEMAPHORE})")
+        number = _SEMAPHORE_TYPES[require_choice(kind, self.semaphore_types, "MemorySharing: kind")]
+        given = require_whole(handle, "MemorySharing: handle", 0, _MOST_HANDLE)
+        properties, error = (ct.c_uint64 * 5)(_SEMAPHORE_TYPE, _BINARY, number, given, 0), _INT()
+        platform, name = self.device.cl_device.platform, "clCreateSemaphoreWithPropertiesKHR"
+        made = _function(platform, name, _P, _P, _P, _P)(self.device.context.int_ptr, properties, ct.byref(error))
+        _require_success(name, error.value)
+        return SharedSemaphore(made, _function(platform, "clReleaseSemaphoreKHR", _INT, _P))
+
+    def wait(self, semaphore: SharedSemaphore) -> cl.Event:
+        """Have the device's queue wait until Vulkan has signaled `semaphore`, which resets it, and return the event of
+        that. All later work comes after it; the host goes on. Raises GffeError where the driver fails."""
+        return self._call("clEnqueueWaitSemaphoresKHR", [_checked(semaphore)], (), None)
+
+    def signal(self, semaphore: SharedSemaphore) -> cl.Event:
+        """Signal `semaphore` for Vulkan once all work so far on the device's queue is complete, and return the event of
+        that. Vulkan must wait for it before it is signaled again. Raises GffeError where the driver fails."""
+        return self._call("clEnqueueSignalSemaphoresKHR", [_checked(semaphore)], (), None)
+
+
+class SharedSemaphore:
+    """A semaphore of another API, made by `MemorySharing.semaphore`."""
+
+    def __init__(self, handle: int, release: Callable):
+        self.int_ptr, self._release = handle, release
+
+    def __del__(self):
+        self._release(self.int_ptr)
+
+
+def _checked(semaphore: Any) -> SharedSemaphore:
+    return require_kind(semaphore, SharedSemaphore, "sharing: semaphore", "one of MemorySharing.semaphore")
 
 
 def _current_device(platform: cl.Platform, properties: ct.Array) -> int | None:

@@ -38,6 +38,8 @@ class Outputs:
     def __init__(self, board: Board, stages: Mapping[str, Stage]):
         self._board, self._stages = board, stages
         self.kept: dict[str, Output] = {}
+        # By the occasion: the last stage that makes a picture then.
+        self._makers = {occasion: stage for stage in stages.values() for occasion in stage.pictures}
         self._wanted: set[str] | EllipsisType | None = ...  # not chosen yet
 
     def available(self) -> Iterator[tuple[str, BufferSpec]]:
@@ -67,8 +69,8 @@ class Outputs:
 
     def picture(self, occasion: str) -> cl.Buffer | None:
         """Return the result of the last stage that makes a picture on `occasion`, None if no stage does."""
-        makers = [stage for stage in self._stages.values() if occasion in stage.pictures]
-        return makers[-1].buffer[makers[-1].pictures[occasion]] if makers else None
+        maker = self._makers.get(occasion)
+        return maker.buffer[maker.pictures[occasion]] if maker else None
 
     def choose(self, wanted: set[str] | None) -> None:
         """Keep the outputs `wanted` (None: all) from the next frame on, and no others."""

@@ -44,17 +44,7 @@ def _levels(names: str) -> dict[str, str]:
 
 
 _OFFERED = _keys("fill") | _keys("push")
-_SETTLED = _level("color depth px state") | _keys("fill")
-_SETTLING = (
-    {
-        "frame_color": "previous.color",
-        "frame_depth": "previous.depth",
-    }
-    | _level("state")
-    | _keys("fill")
-    | _level("color depth px state", "old", "old_", "'")
-)
-_PUSHED = _level("color depth px state", "next", "next_") | _keys("push")
+_SETTLED = {name: f"background.{{fill_by}}_{name}" for name in ("keys", "winners")}
 _PROJECTED = {"keys": "warp.keys", "winners": "warp.winners"}
 
 
@@ -85,8 +75,17 @@ class Background(NearestStage):
             _OFFERED,
             step=("LANES", 1),
         ),
-        Kernel("settle_level", "flat_level{level}", _SETTLING, _SETTLED, step=("SCAN_BYTES", 1), group="SCAN_GROUP"),
-        Kernel("settle_and_push", "level{level}", _SETTLING | _keys("push"), _SETTLED | _PUSHED, step=("RUN", 1)),
+        Kernel(
+            "settle_level",
+            "flat_level{level}",
+            {"frame_color": "previous.color", "frame_depth": "previous.depth"}
+            | _level("state")
+            | _SETTLED
+            | _level("color depth px state", "from_level", "old_", "'"),
+            _level("color depth px state") | _SETTLED,
+            step=("SCAN_BYTES", 1),
+            group="SCAN_GROUP",
+        ),
         Kernel(
             "project_levels",
             "levels{levels}",
@@ -129,8 +128,6 @@ class Background(NearestStage):
     def __init__(self, board: Board):
         self.levels = board.options.levels
         self.starts = board.sizes.level_starts(self.levels)
-        if self.levels == 1:  # nothing is pushed
-            self.kernels = tuple(kernel for kernel in self.kernels if kernel.name != "settle_and_push")
         all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
         state = all_levels.pop()  # must last: memory between two levels is EMPTY
         even = self.keys(board, "even_", "source")
@@ -185,11 +182,12 @@ class Background(NearestStage):
             self.clear_keys("even_", "source")
             self.clear_keys("odd_", "level1")
         for level in range(self.levels):
-            last = level + 1 == self.levels
-            given = {"level": level, "old": level, "next": level + 1} | self.of_level(level)
+            given = self.of_level(level)
             for scatter_pass in self.passes if collect else ():
-                self.launch("scatter_level", step, **given, **{"pass": scatter_pass})
-            self.launch("settle_level" if last else "settle_and_push", step, **given)
+                self.launch("scatter_level", step, level=level, **given, **{"pass": scatter_pass})
+            self.launch("settle_level", step, level=level, from_level=level, **given)
+            if level + 1 < self.levels:  # the next one begins with the fragments that were pushed down
+                self.launch("settle_level", step, level=level + 1, from_level=level, fill_by=given["push_by"])
             if collect and level == 0 and self.levels > 2:
                 self.clear_keys("even_", "level2")
 

@@ -88,16 +88,11 @@ class BackwardBlocks(NearestStage):
     )
 
     def __init__(self, board: Board):
-        self.softens = Silhouettes.is_wanted(board.options)
         self.finds = board.options.blocks and board.options.crack_closing
-        board.facts["softens"] = self.softens
+        board.facts["softens"] = Silhouettes.is_wanted(board.options)
         board.facts["copies"] = board.options.motion and self.finds
         if not self.finds:  # nothing is written to it
             self.buffers = tuple(replace(spec, scratch=spec.scratch or spec.name == "reach") for spec in self.buffers)
-        if not self.softens:  # it writes nothing of them
-            find, classify = self.kernels
-            nothing = "backward_blocks.block_class"
-            self.kernels = (find, replace(classify, writes={**classify.writes, "marked": nothing}))
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:

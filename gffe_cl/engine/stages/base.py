@@ -167,8 +167,7 @@ class Board:
             script = self.scripts.get(key)
             if script:
                 self.blocks.held[step.slot] = step.key
-                for launch in script.of_frames:
-                    launch.show(self.shown, self.buffer)
+                script.show(self.shown, self.buffer)
                 return self.commands.repeat(script, step.block(self))
             script = Script()
         self.commands.script = script
@@ -201,12 +200,15 @@ class Board:
         self.__dict__.pop("blocks", None)
 
     def buffer(self, owner: str, name: str) -> cl.Buffer:
-        """Return the buffer "<owner>.<name>". Raises KeyError if there is none."""
+        """Return the buffer "<owner>.<name>"; of a stage that is not there, one that is of no use. Kernels know by
+        members of the frame block that they must leave it alone, but for a list's length. Raises KeyError if the owner
+        has no such buffer."""
         if owner in ("rendered", "previous"):
             return getattr(getattr(self, owner), name)
         if owner == "frame":
             return self.frame.buffer[name]
-        return self.stages[owner].own(name)
+        stage = self.stages.get(owner)
+        return stage.own(name) if stage else self.blocks.buffer["unused"]
 
     def spec(self, name: str) -> BufferSpec:
         """Return the description of the buffer "<owner>.<name>"."""
@@ -289,8 +291,9 @@ class Stage(Owner):
         """Make the results those of the frame before; called for all stages before any works on a new frame."""
         if self.before:
             self.board.turn ^= self._bit
-            for name, buffer in self.before.items():
-                self.before[name], self.buffer[name] = self.buffer[name], buffer
+            results = {name: self.buffer[name] for name in self.before}
+            self.buffer.update(self.before)
+            self.before = results
 
     def launch(self, name: str, step: Step | None = None, **given: Any) -> None:
         """Enqueue a kernel over its grid, in rows of work-items.
@@ -405,13 +408,14 @@ class Stage(Owner):
 
 
 class FrameBlocks(Stage):
-    """Frame blocks on the device, which kernels read: that of the rendered frame and that of the new one."""
+    """Frame blocks on the device, which kernels read: that of the rendered frame and that of the new one. And memory
+    that is of no use."""
 
     name = "frame_block"
     registered = False
     buffers = tuple(
-        BufferSpec(slot, np.uint8, (), "once", f"frame block of the {slot} frame", planes=FRAME.itemsize, scratch=True)
-        for slot in ("rendered", "new")
+        BufferSpec(slot, np.uint8, (), "once", f"frame block: {slot}", planes=FRAME.itemsize, scratch=True)
+        for slot in ("rendered", "new", "unused")
     )
     kernels = (Kernel("set_frame", "once", group=1),)
 

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
@@ -34,10 +32,6 @@ class ColorCode(Stage):
     )  # fmt: skip
 
     def __init__(self, board: Board):
-        if not board.facts.get("copies"):  # it reads nothing of them
-            (encode,) = self.kernels
-            nothing = "rendered.color"
-            self.kernels = (replace(encode, reads={**encode.reads, "block_class": nothing}),)
         board.facts["code_offset"] = _OFFSET if board.options.resampling == "perceptual" else 0.0
         super().__init__(board)
 

@@ -49,11 +49,19 @@ class Launch:
 class Script:
     """Commands that were enqueued for a step, to be enqueued again for later ones: calls, their arguments, and the
     names of stage and kernel ("" for work of the host). `blocks` are the arguments that bring the frame block,
-    `of_frames` the launches whose arguments change with the rendered frames."""
+    `of_frames` the launches whose arguments change with the rendered frames, `shown` those to which they are set."""
 
     calls: list[tuple[Callable[..., Any], tuple, str, str]] = field(default_factory=list)
     blocks: list[tuple[Callable[[int, Any], None], int]] = field(default_factory=list)
     of_frames: list[Launch] = field(default_factory=list)
+    shown: object = None
+
+    def show(self, shown: object, buffer: Callable[[str, str], Any]) -> None:
+        """Set the buffers of the rendered frames, as `Launch.show` does, in all launches."""
+        if self.shown is not shown:
+            for launch in self.of_frames:
+                launch.show(shown, buffer)
+            self.shown = shown
 
 
 class Commands:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from gffe_cl.engine.stages.background import Background
@@ -42,12 +40,7 @@ class Connectivity(NearestStage):
     )
 
     def __init__(self, board: Board):
-        self.collects = Background.is_wanted(board.options)
-        board.facts["collects"] = self.collects
-        if not self.collects:  # it writes nothing of them
-            (find,) = self.kernels
-            nothing = dict.fromkeys(_COLLECTING, "connectivity.links")
-            self.kernels = (replace(find, writes={**find.writes, **nothing}),)
+        board.facts["collects"] = Background.is_wanted(board.options)
         super().__init__(board)
 
     def rendered(self, step: Step) -> None:

@@ -44,7 +44,8 @@ class ShadingCorrection(Stage):
     from half resolution, L for the encoded GAE color there and g for it at full: refined = e⁻¹(U(L) + U(Δ) + U(keep) ·
     (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear color. M is less, down to 0, where the last
     interval's change of brightness is not that of the interval before. Of detail, at least the share stays that is
-    `texture` (`ShadingFlow`).
+    `texture` (`ShadingFlow`). Where the image follows the flow (`followed` there), the final image is half of that, and
+    half the GAE frame moved along the flow (`follow_flow`).
 
     `unusable_pixels`: number of pixels of all frames so far where the network gave NaN or infinity; they keep the GAE
     color. `with_refined`: whether `refined` is made too, from the next frame on.
@@ -120,6 +121,18 @@ class ShadingCorrection(Stage):
                 "out_color": "correction.color",
             },
             step=("LANES", 1),
+        ),
+        Kernel(
+            "follow_flow",
+            "target",
+            {
+                "extrapolated": "frame.color",
+                "flow": "shading_flow.flow2",
+                "followed": "shading_flow.followed",
+                "color": "correction.color",
+            },
+            {"color": "correction.color"},
+            step=("LANES", "FOLLOWED_ROWS"),
         ),
     )
 
@@ -228,6 +241,8 @@ class ShadingCorrection(Stage):
         within_mask = self.board.options.focus_mask
         self.judge(step, within_mask, **given)
         self.compose(step, within_mask)
+        if self.board.options.image_flow:
+            self.launch("follow_flow", step)
 
     def use(self, network: Network | KernelNetwork) -> None:
         """Set the runner of the network from now on: onnxruntime or, for a network of `layers`, the kernels."""

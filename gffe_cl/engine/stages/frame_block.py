@@ -96,7 +96,10 @@ class BlockWriter:
         integers[_HAS_PREVIOUS], integers[_HAS_OVERLAYS], integers[_ORDER] = previous is not None, overlays, order
         for name, numbers in (given or {}).items():
             words, start = integers if name in _INTEGERS else block, _WORDS[name].start
-            for k, number in enumerate(numbers if type(numbers) is tuple else (numbers,)):
+            if type(numbers) is not tuple:  # mostly
+                words[start] = numbers
+                continue
+            for k, number in enumerate(numbers):
                 words[start + k] = number
         return block
 

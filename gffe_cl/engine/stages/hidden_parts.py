@@ -13,11 +13,10 @@ _CONSTANTS = constants("hidden_parts.cl")
 _FILLED = {name: f"frame.{name}" for name in ("color", "depth", "motion", "filled_by")}
 _KEYS = {name: f"warp.{name}" for name in ("keys", "winners")}
 _OFFERING = {
-    "depth": "rendered.depth",
-    "motion": "rendered.motion",
+    "dynamic_mask": "history.dynamic_mask",
+    "links": "connectivity.links",
     "met_depth": "history.met_depth",
     "target_position": "prediction.target_position",
-    "shown_depth": "frame.depth",
 } | _KEYS
 
 
@@ -29,10 +28,6 @@ class HiddenParts(NearestStage):
     needs_footprints = True
     buffers = (
         BufferSpec(
-            "edges", np.uint32, (), "list_source", "pixels at edges of movers that something hides",
-            scratch=True, transient=True,
-        ),
-        BufferSpec(
             "offered", np.uint32, (), "list_target", "pixels to which parts that reappear are offered",
             scratch=True, transient=True,
         ),
@@ -40,7 +35,7 @@ class HiddenParts(NearestStage):
     kernels = (
         Kernel(
             "fill_hidden_parts",
-            "walk",
+            "flat_level0",
             {
                 "source_depth": "rendered.depth",
                 "source_motion": "rendered.motion",
@@ -51,34 +46,29 @@ class HiddenParts(NearestStage):
                 "color": "frame.color",
                 "depth": "frame.depth",
                 "motion": "frame.motion",
-            },
-            _FILLED | {name: f"hidden_parts.{name}" for name in ("edges", "offered")},
-            group="WALK_GROUP",
-        ),
-        Kernel(
-            "list_edges",
-            "flat_level0",
-            _OFFERING | {"dynamic_mask": "history.dynamic_mask", "links": "connectivity.links"},
-            {"edges": "hidden_parts.edges"} | _KEYS,
+            }
+            | _OFFERING,
+            _FILLED | _KEYS | {"offered": "hidden_parts.offered"},
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
         ),
         Kernel(
             "offer_reappearing",
-            "walk",
+            "flat_level0",
             _OFFERING
             | {
-                "dynamic_mask": "history.dynamic_mask",
-                "links": "connectivity.links",
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
                 "depth_prev": "previous.depth",
-                "edges": "hidden_parts.edges",
+                "shown_depth": "frame.depth",
             },
             {
                 "filled_by": "frame.filled_by",
                 "offered": "hidden_parts.offered",
             }
             | _KEYS,
-            group="WALK_GROUP",
+            step=("SCAN_BYTES", 1),
+            group="SCAN_GROUP",
         ),
         Kernel(
             "fill_reappearing",
@@ -112,10 +102,9 @@ class HiddenParts(NearestStage):
         return options.hidden_parts and options.motion
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("fill_hidden_parts", step)
-        if not self.board.options.reappearing:
-            return
-        self.launch("list_edges", step)
-        for offer_pass in self.passes:
+        reappearing = self.board.options.reappearing
+        self.launch("fill_hidden_parts", step, reappear=reappearing)
+        for offer_pass in self.passes if reappearing else ():
             self.launch("offer_reappearing", step, **{"pass": offer_pass})
-        self.launch("fill_reappearing", step)
+        if reappearing:
+            self.launch("fill_reappearing", step)

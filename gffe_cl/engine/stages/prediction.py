@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
@@ -58,14 +56,6 @@ class PositionPrediction(NearestStage):
     def __init__(self, board: Board):
         board.facts["bends"] = Acceleration.name in board.stages
         board.facts["dilates"] = self.dilates = not board.options.warps_footprints
-        (predict,) = self.kernels
-        if not board.facts["bends"]:  # it reads nothing of them
-            nothing = dict.fromkeys(("velocity", "bend", "view_velocity"), "history.history")
-            predict = replace(predict, reads={**predict.reads, **nothing})
-        if not self.dilates:  # it writes nothing of them
-            nothing = dict.fromkeys(("keys", "winners"), "prediction.target_position")
-            predict = replace(predict, writes={**predict.writes, **nothing})
-        self.kernels = (predict,)
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:

@@ -1,5 +1,5 @@
 """Flow of shading between the warped previous frame and the new one, and its confidence. Beyond the paper: a
-candidate of the shading correction network."""
+candidate of the shading correction network, and what the image follows where it explains the last interval."""
 
 from __future__ import annotations
 
@@ -36,6 +36,10 @@ class ShadingFlow(Stage):
             "colors", np.float32, (), "network1", "encoded GAE color at a quarter of the resolution",
             planes=3, scratch=True,
         ),
+        BufferSpec(
+            "brightness0", np.float32, (), "network", "mean code of the GAE frame (1) and of the warped previous one"
+            " (2), half resolution", planes=2, scratch=True,
+        ),
         *(
             BufferSpec(
                 f"brightness{level}", np.float32, (), f"network{level}", "mean code of the GAE frame (1) and of the"
@@ -65,6 +69,10 @@ class ShadingFlow(Stage):
             planes=_DIFFERENCES,
         ),
         BufferSpec(
+            "followed", np.float32, (), "network1", "1 where the image follows the flow: this explains the last"
+            " interval, and motion vectors do not",
+        ),
+        BufferSpec(
             "candidates", np.float32, (), "network1", "inputs of the network in addition to its frames: flow / 4"
             " (1, 2), 4 × root of both differences (3, 4) and their ratio (5), 4 × change along the flow until t + α"
             " (6–8), 4 × trends (9–12),"
@@ -79,6 +87,7 @@ class ShadingFlow(Stage):
             {"frames": "network_input.frames"},
             {
                 "colors": "shading_flow.colors",
+                "brightness0": "shading_flow.brightness0",
                 "brightness": "shading_flow.brightness1",
                 "texture": "shading_flow.texture",
             },
@@ -107,6 +116,17 @@ class ShadingFlow(Stage):
                 "trends": "shading_trend.trends",
             },
             {"differences": "shading_flow.differences"},
+        ),
+        _tiled(
+            "find_followed",
+            "network1",
+            {
+                "frames": "network_input.frames",
+                "brightness": "shading_flow.brightness0",
+                "flow": "shading_flow.flow2",
+                "changed": "shading_trend.changed",
+            },
+            {"followed": "shading_flow.followed"},
         ),
         Kernel(
             "find_candidates",
@@ -142,4 +162,6 @@ class ShadingFlow(Stage):
                 self.launch("step_flow", step, **given)
                 begun = made
         self.launch("find_differences", step)
+        if self.board.options.image_flow:
+            self.launch("find_followed", step)
         self.launch("find_candidates", step)

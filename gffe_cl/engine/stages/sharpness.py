@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 
@@ -49,6 +50,10 @@ class Sharpness(Stage):
             group="SAMPLES_X",
         ),
     )
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.sharpness
 
     def rendered(self, step: Step) -> None:
         """Measure it. Without a previous frame it is 0."""

@@ -10,7 +10,7 @@ from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
 from gffe_cl.engine.stages.pixel_formats import RGB9E5
 
-_CONSTANTS = constants("silhouettes.cl")
+_CONSTANTS = constants("layers.h")
 LAYERS = tuple(
     (_CONSTANTS[name], about)
     for name, about in (
@@ -22,8 +22,8 @@ LAYERS = tuple(
 
 
 class Silhouettes(Stage):
-    """Unmixes the pixels at silhouettes of the rendered frame, and blends them with the surface behind in the new
-    frame. The list of open pixels holds the soft ones now: there are no open ones any more."""
+    """Unmixes the pixels at silhouettes of the rendered frame, while the warp splats, and blends them with the surface
+    behind in the new frame."""
 
     name = "silhouettes"
     needs_footprints = True
@@ -51,27 +51,9 @@ class Silhouettes(Stage):
             "softened", np.float16, RGBA, "target", "new colors at silhouettes", "color", scratch=True, transient=True,
             packing=RGB9E5,
         ),
+        BufferSpec("soft", np.uint32, (), "list_target", "pixels at silhouettes", scratch=True, transient=True),
     )  # fmt: skip
     kernels = (
-        Kernel(
-            "find_layers",
-            "source",
-            {
-                "links": "connectivity.links",
-                "smooth": "backward_blocks.smooth",
-                "depth": "rendered.depth",
-                "target_position": "prediction.target_position",
-                "codes": "color_code.codes",
-            },
-            {
-                "layer": "silhouettes.layer",
-                "behind": "silhouettes.behind",
-                "share": "silhouettes.share",
-                "marked": "silhouettes.marked",
-                "soft": "warp.open",
-            },
-            step=("LANES", 1),
-        ),
         Kernel(
             "soften",
             "target",
@@ -90,7 +72,7 @@ class Silhouettes(Stage):
             {
                 "coverage": "silhouettes.coverage",
                 "softened": "silhouettes.softened",
-                "soft": "warp.open",
+                "soft": "silhouettes.soft",
             },
             step=("LANES", 1),
         ),
@@ -98,7 +80,7 @@ class Silhouettes(Stage):
             "apply_softened",
             "walk",
             {
-                "soft": "warp.open",
+                "soft": "silhouettes.soft",
                 "softened": "silhouettes.softened",
             },
             {"color": "frame.color"},
@@ -111,5 +93,5 @@ class Silhouettes(Stage):
         return options.soft_silhouettes
 
     def extrapolated(self, step: Step) -> None:
-        for kernel in ("find_layers", "soften", "apply_softened"):
+        for kernel in ("soften", "apply_softened"):
             self.launch(kernel, step)

@@ -98,6 +98,7 @@ class Upload(Stage):
     def __init__(self, board: Board):
         super().__init__(board)
         self._in_place = self.device.works_in_host_memory
+        self._size = dict(zip(("width", "height"), self.sizes.source, strict=True))
         self._bad = BadPixels()  # of the frames whose counts have come since they were taken
         self._counts: list[tuple[np.ndarray, cl.Event]] = []  # on their way from the device, the oldest first
         self._staging: list[tuple[np.ndarray, cl.Event]] = []  # places, and the copies from them, the oldest first
@@ -122,13 +123,12 @@ class Upload(Stage):
             places = {name: self._in_memory(array) for name, array in given.items()}
         else:
             places = self._copy(given)
-        plain = Step(frame, None, [frame.time])
         if step:
             self.convert_places(places, frame, step, is_dilated)
         elif "color" in copied:
-            self._take_color(arrays.color, *places["color"], plain)
+            self._take_color(arrays.color, *places["color"], frame.color)
         if "depth" in copied and not step:
-            self._take_geometry(places, plain)
+            self._take_geometry(places, frame)
         if copied and self._in_place:
             self.device.queue.finish()  # kernels read the arrays
         if arrays.known_bad:
@@ -197,19 +197,18 @@ class Upload(Stage):
             return False
         return array.ctypes.data % self.device.alignment == 0
 
-    def _take_color(self, color: np.ndarray, given: cl.Buffer, start: int, step: Step) -> None:
-        kernel, made = "take_halves" if color.dtype == np.float16 else "take_floats", step.frame.color
-        self.launch(kernel, step, given=given, start=start, channels=color.shape[2], color=made)
+    def _take_color(self, color: np.ndarray, given: cl.Buffer, start: int, made: cl.Buffer) -> None:
+        kernel = "take_halves" if color.dtype == np.float16 else "take_floats"
+        self.launch(kernel, **self._size, given=given, start=start, channels=color.shape[2], color=made)
         self.copied_bytes += made.size
 
-    def _take_geometry(self, places: Mapping[str, tuple[cl.Buffer, int]], step: Step) -> None:
-        frame = step.frame
+    def _take_geometry(self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame) -> None:
         if "motion" not in places:
             cl.enqueue_fill_buffer(self.device.queue, frame.motion, b"\0", 0, frame.motion.size)
         given_depth, depth_start = places["depth"]
         given_motion, motion_start = places.get("motion", (frame.motion, 0))
         self.launch(
-            "take_geometry", step,
+            "take_geometry", **self._size,
             given_depth=given_depth, depth_start=depth_start, given_motion=given_motion, motion_start=motion_start,
             depth=frame.depth, motion=frame.motion,
         )  # fmt: skip

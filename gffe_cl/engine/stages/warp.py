@@ -39,12 +39,16 @@ class Warp(NearestStage):
             {
                 "reach": "backward_blocks.reach",
                 "block_class": "backward_blocks.block_class",
+                "smooth": "backward_blocks.smooth",
                 "depth": "rendered.depth",
+                "codes": "color_code.codes",
                 "links": "connectivity.links",
                 "target_position": "prediction.target_position",
             }
             | _KEYS,
-            _KEYS | {"open": "warp.open"},
+            _KEYS
+            | {"open": "warp.open"}
+            | {name: f"silhouettes.{name}" for name in ("layer", "behind", "share", "marked", "soft")},
             step=("LANES", 1),
         ),
         Kernel(

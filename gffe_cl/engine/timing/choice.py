@@ -24,7 +24,7 @@ LADDER = {
     "balanced without the network": {"shading_correction": False},
     "performance": PRESETS["performance"].values,
 }
-_BUDGETS = (1e-3, 1e5)  # ms
+BUDGETS = (1e-3, 1e5)  # ms
 _MOST_REPEATS = 10000
 
 
@@ -121,7 +121,7 @@ def choose_options(
 
 def choose_for(device: Device, loop: FrameLoop, budget_ms: float, options: Options, repeats: int) -> Choice:
     """Return the same for a loop of frames."""
-    budget = require_within(budget_ms, "budget_ms", *_BUDGETS)
+    budget = require_within(budget_ms, "budget_ms", *BUDGETS)
     loop, tried, taken, too_large, refused = loop.on(device), {}, {}, [], None
     usual = {option: getattr(Options(), option) for values in LADDER.values() for option in values}
     usual["shading_correction"] = options.shading_correction

@@ -18,7 +18,7 @@ from gffe_cl.lab.table.jobs import Cell
 _VERSION = 1
 _MOST_BYTES = 64 << 20  # of a file
 # Modules that figures do not depend on, or that only transport them.
-_ELSEWHERE = ("cli", "viewer", "training", "remote_workers.py", "run.py", "render.py", "__main__.py")
+_ELSEWHERE = ("cli", "viewer", "training", "run.py", "render.py", "__main__.py")
 _MEASURING = ("images", "datasets", "regions", "labels", "methods", "baselines", "image_space", "network", "flicker",
               "videos", "jobs",              "pipelines", "windows")  # fmt: skip
 

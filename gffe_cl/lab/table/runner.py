@@ -1,4 +1,4 @@
-"""Filling of the table: cached cells are reused, others are computed, here or on a cluster, and stored one by one."""
+"""Filling of the table: cached cells are reused, others are computed and stored one by one."""
 
 from __future__ import annotations
 
@@ -11,10 +11,6 @@ from gffe_cl.lab.table.cache import Cache, key_of
 from gffe_cl.lab.table.datasets import Subject
 from gffe_cl.lab.table.jobs import Cell, compute_cell, machine_of
 from gffe_cl.lab.table.methods import Method, chosen_methods
-
-# (work items, arguments of `compute_cell` beside) → the items with their cells, as they come.
-# A GffeError in place of a cell: the sequence cannot be measured.
-Executor = Callable[[list["Work"], dict], Iterator[tuple["Work", Cell | GffeError]]]
 
 
 @dataclass(frozen=True)
@@ -68,7 +64,6 @@ def fill(
     order: TableOrder,
     folder: Path,
     device: str | None = None,
-    executor: Executor | None = None,
     on_plan: Callable[[int], Callable[[], None]] = lambda total: lambda: None,
 ) -> Filled:
     """Fill the table and return it; cells are cached in `folder`. `on_plan` takes the number of moments to come and
@@ -78,7 +73,7 @@ def fill(
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
     methods = chosen_methods(order.methods, order.onnx, any(s.upscale for s in order.subjects), order.network)
-    filled = Filled(methods, list(order.subjects), _machine(device, executor))
+    filled = Filled(methods, list(order.subjects), machine_of(device))
     cache, missing = Cache(folder), []
     for subject in order.subjects:
         try:
@@ -99,8 +94,7 @@ def fill(
                 missing.append(work)
     advance = on_plan(sum(work.subject.moments for work in missing if work.method))
     arguments = {"onnx": order.onnx, "videos": order.videos, "device": device, "network": order.network}
-    compute = executor or _in_this_process
-    for work, cell in compute(missing, arguments | {"on_moment": advance}):
+    for work, cell in _computed(missing, arguments | {"on_moment": advance}):
         if isinstance(cell, GffeError):
             filled.drop(work.subject.name, str(cell))
             continue
@@ -113,18 +107,8 @@ def fill(
     return filled
 
 
-def _machine(device: str | None, executor: Executor | None) -> str:
-    """Return the name of this machine for times. A machine without a device may have others compute: then "a
-    cluster"."""
-    try:
-        return machine_of(device)
-    except GffeError:
-        if executor is None:
-            raise
-        return "a cluster"
-
-
-def _in_this_process(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell | GffeError]]:
+def _computed(items: list[Work], arguments: dict) -> Iterator[tuple[Work, Cell | GffeError]]:
+    """Yield the items with their cells; with a GffeError if the sequence cannot be measured."""
     broken = set()
     for work in items:
         if work.subject.name in broken:

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import os
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import asdict, dataclass
 from pathlib import Path
 
@@ -17,7 +17,6 @@ from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.remote_workers import Cluster, device_of_worker
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.shading_trend import TREND_PLANES
@@ -167,21 +166,19 @@ def complete_clips(folder: Path, seed: int, count: int) -> int:
 
 def make_clips(
     folder: Path,
-    device: Device | None,
+    device: Device,
     seed: int,
     count: int,
     on_clip: Callable[[bool], None] = lambda made: None,
     part: tuple[int, int] = (0, 1),
     until: float | None = None,
     least: int = 0,
-    cluster: Cluster | None = None,
 ) -> int:
     """Make the missing clips of 0 … count − 1 in `folder`, and return the number made.
 
     Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
     from i on. Nothing more is begun when `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart.
-    `on_clip` is called after each with whether it was made; otherwise it was there already. With a `cluster` its
-    workers make them, each on the device that GFFE_DEVICE chooses there, and `device` may be None. Raises GffeError
+    `on_clip` is called after each with whether it was made; otherwise it was there already. Raises GffeError
     where nothing can be written.
     """
     indices = range(part[0], count, part[1])
@@ -191,31 +188,15 @@ def make_clips(
         missing = [k for k in indices if not clip_path(folder, seed, k).with_suffix(".json").exists()]
         for _ in range(len(indices) - len(missing)):
             on_clip(False)
-        for index, data in _made(missing, seed, device, cluster, until, least):
-            _keep(clip_path(folder, seed, index), *data)
+        for index in missing:
+            if index >= least and until is not None and time.monotonic() > until:
+                break
+            _keep(clip_path(folder, seed, index), *clip_data(device, ClipPlan.draw(seed, index)))
             made += 1
             on_clip(True)
     except OSError as error:
         raise GffeError(f"{folder}: cannot write training data: {error.strerror or error}") from None
     return made
-
-
-def _made(indices, seed, device, cluster, until, least) -> Iterator[tuple[int, tuple]]:
-    """Yield the index and the result of `clip_data` for each clip, in order, as far as time allows."""
-    plans = {str(index): (ClipPlan.draw(seed, index),) for index in indices}
-    if cluster:
-        results = cluster.compute(_clip_on_worker, plans, in_order=True)
-    else:
-        results = ((name, clip_data(device, *plan)) for name, plan in plans.items())
-    for index in indices:
-        if index >= least and until is not None and time.monotonic() > until:
-            break
-        yield index, next(results)[1]
-    results.close()
-
-
-def _clip_on_worker(plan: ClipPlan) -> tuple:
-    return clip_data(device_of_worker(None), plan)
 
 
 def clip_data(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, dict]:

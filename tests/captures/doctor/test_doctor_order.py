@@ -52,6 +52,19 @@ def test_a_shift_of_the_worlds_origin_is_no_cut(spaces, said):
         np.testing.assert_allclose(made.camera.world_to_view, true.camera.world_to_view, atol=1e-5)
 
 
+@pytest.mark.long
+def test_one_camera_that_is_off_is_no_shift_of_the_world():
+    frames = list(clip().images)
+    frames[4] = replace(frames[4], camera=frames[3].camera, display_camera=None)
+    diagnosis = examine(Kept(frames))
+    assert names(diagnosis) == ["camera: off in one frame"]
+    assert "the camera of frame 4 (frame_000004.exr) is that of the frame before" in diagnosis.faults[0].sentence
+    repair = Repair(Kept(frames), diagnosis)
+    assert_restored([frame for _, frame in repair.frames()])
+    between = clip().images[5].camera  # of another time, as that of ground truth
+    assert repair.camera(between, 4.5 / 30).world_to_view.tolist() == between.world_to_view.tolist()
+
+
 def twice(which):
     """The exact clip with some frames recorded twice."""
     frames = [frame for k, frame in enumerate(clip().images) for _ in range(1 + (k in which))]

@@ -25,7 +25,7 @@ from gffe_cl.engine.opencl import sharing
 W, H = 32, 24
 SLOTS = 3  # of rendered frames: two are in use while the third is written
 P, INT, UINT, SIZE, ULONG = ct.c_void_p, ct.c_int32, ct.c_uint32, ct.c_size_t, ct.c_uint64
-GL_CONTEXT, DISPLAY = 0xABC000, 0xDEF000
+GL_CONTEXT, DISPLAY, SEMAPHORES = 0xABC000, 0xDEF000, 0x5000
 INVALID_VALUE, INVALID_OPERATION = -30, -59
 TAKE, GIVE = "Acquire", "Release"
 KINDS = {"GL": "GLObjects", "memory": "ExternalMemObjectsKHR"}
@@ -43,12 +43,17 @@ class FakeDriver:
 
     def __init__(self, device):
         self.device, self.calls, self.memory, self.acquired, self.kept, self.events = device, [], {}, set(), [], []
+        self.signaled = {}  # semaphores of the other API, by name; OpenCL's handles are those + SEMAPHORES
         self.functions = {
             "clGetDeviceInfo": (INT, (P, UINT, SIZE, P, P), self.device_info),
             "clGetGLContextInfoKHR": (INT, (P, UINT, SIZE, P, P), self.gl_context_info),
             "clCreateContext": (P, (P, UINT, P, P, P, P), self.create_context),
             "clCreateFromGLBuffer": (P, (P, ULONG, UINT, P), self.from_gl),
             "clCreateBufferWithProperties": (P, (P, P, ULONG, SIZE, P, P), self.with_properties),
+            "clCreateSemaphoreWithPropertiesKHR": (P, (P, P, P), self.semaphore),
+            "clReleaseSemaphoreKHR": (INT, (P,), self.drop_semaphore),
+            "clEnqueueWaitSemaphoresKHR": (INT, (P, UINT, P, P, UINT, P, P), self.switch(False)),
+            "clEnqueueSignalSemaphoresKHR": (INT, (P, UINT, P, P, UINT, P, P), self.switch(True)),
         }
         for kind in KINDS.values():
             for verb in (TAKE, GIVE):
@@ -62,8 +67,8 @@ class FakeDriver:
         return ct.cast(self.callbacks[name], P).value if name in self.callbacks else None
 
     def device_info(self, device, what, room, values, nbytes):
-        assert (device, what) == (self.device.cl_device.int_ptr, 0x204F)
-        types = (UINT * 3)(0x2067, 0x9999, 0x2060)
+        assert device == self.device.cl_device.int_ptr
+        types = {0x204F: (UINT * 3)(0x2067, 0x9999, 0x2060), 0x204D: (UINT * 2)(0x2058, 0x2055)}[what]
         assert room >= ct.sizeof(types)
         ct.memmove(values, types, ct.sizeof(types))
         SIZE.from_address(nbytes).value = ct.sizeof(types)
@@ -108,19 +113,42 @@ class FakeDriver:
 
     def mover(self, verb, kind):
         def move(queue, count, buffers, waits, events, event):
-            own = cl.CommandQueue.from_int_ptr(queue, retain=True)
             given = set((P * count).from_address(buffers)) if count else set()
             awaited = [cl.Event.from_int_ptr(e, retain=True) for e in (P * waits).from_address(events)] if waits else []
             self.calls.append((f"{verb}{kind}", (count, waits)))
             if (verb == TAKE and given & self.acquired) or (verb == GIVE and not given <= self.acquired):
                 return INVALID_OPERATION
             self.acquired = self.acquired | given if verb == TAKE else self.acquired - given
-            self.events.append(cl.enqueue_marker(own, wait_for=awaited))
-            real("clRetainEvent", self.events[-1].int_ptr)
-            P.from_address(event).value = self.events[-1].int_ptr
-            return 0
+            return self._marked(queue, awaited, event)
 
         return move
+
+    def semaphore(self, context, properties, error):
+        told = list((ULONG * 5).from_address(properties))
+        INT.from_address(error).value = 0 if told[3] in self.signaled else INVALID_VALUE
+        assert told[:3] == [0x203D, 1, 0x2055] and told[4] == 0
+        return SEMAPHORES + told[3]
+
+    def drop_semaphore(self, handle):
+        del self.signaled[handle - SEMAPHORES]
+        return 0
+
+    def switch(self, to):
+        def switch(queue, count, semaphores, payload, waits, events, event):
+            (name,) = [handle - SEMAPHORES for handle in (P * count).from_address(semaphores)]
+            assert payload is None and not waits
+            if self.signaled[name] == to:
+                return INVALID_OPERATION
+            self.signaled[name] = to
+            return self._marked(queue, [], event)
+
+        return switch
+
+    def _marked(self, queue, awaited, event):
+        self.events.append(cl.enqueue_marker(cl.CommandQueue.from_int_ptr(queue, retain=True), wait_for=awaited))
+        real("clRetainEvent", self.events[-1].int_ptr)
+        P.from_address(event).value = self.events[-1].int_ptr
+        return 0
 
     def lend(self, context, name, nbytes):
         """Memory of the other API."""
@@ -132,7 +160,7 @@ class FakeDriver:
 def driver(device, monkeypatch):
     fake = FakeDriver(device)
     monkeypatch.setattr(sharing, "_address", fake.address)
-    says = "cl_khr_gl_sharing", "cl_khr_external_memory"
+    says = "cl_khr_gl_sharing", "cl_khr_external_memory", "cl_khr_external_semaphore"
     monkeypatch.setattr(sharing, "_extensions", lambda own: says if own.platform == device.cl_device.platform else ())
     return fake
 
@@ -200,11 +228,35 @@ def test_frames_of_opengl(device, driver):
 def test_frames_of_vulkan(device, driver):
     own = Device.from_context(cl.Context([device.cl_device]))
     shared = MemorySharing(own)
-    assert sharing_support(own) == SharingSupport(True, ("opaque_fd", "dma_buf"))
+    assert sharing_support(own) == SharingSupport(True, ("opaque_fd", "dma_buf"), ("opaque_fd",))
     shown = loop(driver, shared, lambda name, nbytes: shared.buffer("opaque_fd", name, nbytes), "memory")
     assert shown == expected(device)
     shared.buffer("dma_buf", 99, 8 * W * H)
     assert driver.calls == [("with properties", ([0x2067, 99, 0], 1, 8 * W * H))]
+
+
+def test_semaphores_of_vulkan(device, driver):
+    """Each is signaled by one API and waited for by the other, in turns."""
+    shared = MemorySharing(Device.from_context(cl.Context([device.cl_device])))
+    driver.signaled |= {3: True, 4: False}
+    rendered, shown = (shared.semaphore("opaque_fd", name) for name in (3, 4))
+    for _ in range(2):
+        shared.wait(rendered)
+        shared.signal(shown).wait()
+        assert driver.signaled == {3: False, 4: True}
+        driver.signaled |= {3: True, 4: False}
+    shared.wait(rendered)
+    with pytest.raises(GffeError, match="clEnqueueWaitSemaphoresKHR failed: OpenCL error -59"):
+        shared.wait(rendered)
+    with pytest.raises(GffeError, match=r"semaphore must be one of .*, got 3"):
+        shared.signal(3)
+    with pytest.raises(GffeError, match="clCreateSemaphoreWithPropertiesKHR failed: OpenCL error -30"):
+        shared.semaphore("opaque_fd", 5)
+    del rendered
+    assert list(driver.signaled) == [4]
+    shared.semaphore_types = ()
+    with pytest.raises(GffeError, match=r"the driver does not offer semaphores \(cl_khr_external_semaphore\)"):
+        shared.semaphore("opaque_fd", 4)
 
 
 def test_references_are_the_callers_own(device, driver):

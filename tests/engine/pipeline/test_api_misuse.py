@@ -53,10 +53,13 @@ WRONG = (
 # they are used; what is made by others only.
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",
-    "Pipeline.keep", "Pipeline.change_options", "attach", "present",
+    "Pipeline.keep", "Pipeline.keeps_frames", "Pipeline.change_options", "attach", "present",
     "Device.buffer", "Device.empty", "Device.from_context", "sharing_support", "choose_options",
 }  # fmt: skip
-WITH_A_FAKE_DRIVER = {"GlSharing", "GlSharing.buffer", "GlSharing.open_device", "MemorySharing", "MemorySharing.buffer"}
+WITH_A_FAKE_DRIVER = {
+    "GlSharing", "GlSharing.buffer", "GlSharing.open_device", "MemorySharing", "MemorySharing.buffer",
+    "MemorySharing.semaphore", "MemorySharing.wait", "MemorySharing.signal",
+}  # fmt: skip
 RECORDS = {"SharingSupport", "DeviceInfo", "BadPixels", "Overlays", "RenderedFrame", "FrameEntry", "Window"}
 MADE_BY_OTHERS = {"Device", "ExtrapolatedFrame", "PresentedFrame", "Sequence", "GffeError"}
 
@@ -153,6 +156,8 @@ def host_calls():
         "Pacer.rendered": Call(lambda **given: gffe_cl.Pacer(60).rendered(**given), {"time": 0.0, "reset": False}),
         "Pacer.plan": Call(lambda now: paced().plan(now), {"now": 0.2}),
         "Pacer.ready": Call(lambda now: paced(planned=True).ready(now), {"now": 0.2}),
+        "Stepper": Call(gffe_cl.Stepper, {"budget_ms": 4.0, "options": Options(), "below": [Options()]}),
+        "Stepper.took": Call(gffe_cl.Stepper(4).took, {"milliseconds": 5.0}),
         "predict_camera": Call(gffe_cl.predict_camera, {"previous": TURNED, "current": CAMERA, "alpha": 0.5}),
         "predict_camera_at": Call(
             gffe_cl.predict_camera_at,
@@ -354,6 +359,7 @@ def device_calls(pipeline, frame):
             {"depth": geometry[0], "motion": geometry[1]},
         ),
         "Pipeline.keep": Call(pipeline.keep, {"names": ["warp.color"]}),
+        "Pipeline.keeps_frames": Call(other.keeps_frames, {"options": other.options}),
         "Pipeline.change_options": Call(other.change_options, {"options": other.options}),
         "attach": Call(
             lambda **given: gffe_cl.attach(**given).close(), {"pipeline": other, "name": "misuse", "pacer": None}

@@ -66,6 +66,25 @@ def test_correct_equals_its_twin(device, size, within_mask, with_refined, exposu
         assert 0.1 < (focus == 0).mean() < 0.9 and (focus == 1).any()
 
 
+@pytest.mark.parametrize("size", [*SIZES, (130, 70)])
+def test_the_image_follows_the_flow_as_its_twin_does(device, size):
+    rng = np.random.default_rng(5)
+    board, correction, step = made_stages(device, size, seed=2)
+    flow = board.stages["shading_flow"]
+    shape = flow.read("flow2").shape
+    put(flow, flow2=rng.normal(0, 2, shape).astype(np.float32))
+    followed = (rng.random((2 * shape[1], 2 * shape[2])) < 0.4).astype(np.float32)
+    followed[:, followed.shape[1] // 3 :] = 0
+    put(flow, followed=followed)
+    before = rng.lognormal(-1, 2, board.frame.read("color").shape).astype(np.float16)
+    put(correction, color=before)
+    correction.launch("follow_flow", step)
+    expected = twins.follow_flow(board.frame.read("color"), flow.read("flow2"), followed, before, step.alpha)
+    got = correction.read("color")
+    assert got.tobytes() == expected.tobytes()
+    assert min(size) < 30 or 0.1 < (got != before).any(-1).mean() < 0.6
+
+
 def test_encoding_is_the_mu_law_and_decoding_its_inverse():
     """Of the twins, and so of the kernels: against float64."""
     color = np.r_[0, np.logspace(-6, np.log10(65504), 5000)].astype(np.float32)

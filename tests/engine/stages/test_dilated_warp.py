@@ -2,6 +2,7 @@
 
 import numpy as np
 import pytest
+from synthetic import Rect, Rects, camera
 from twin_cases import assert_close, run
 from twins.dilated_warp import dilated_splat, resample_dilated
 
@@ -36,6 +37,20 @@ def test_a_still_frame_keeps_its_bits(device, lanes):
     pipeline.submit(now)
     made = pipeline.extrapolate(now.camera, now.time)
     assert np.array_equal(made.numpy("color")[..., :3], now.color[..., :3].astype(np.float16))
+
+
+def test_a_mover_that_has_gone_is_not_shown_again(device):
+    """Behind a mover that leaves a bar, the bar's motion leads to the mover as it was: a second outline."""
+    wall, bar = Rect((0, 0, 10), frequency=0, tint=(0.1, 0.2, 0.6)), Rect((0, 0, 4), (0.05, 3), frequency=0)
+    mover = Rect((-2, 0, 6), (1, 1), velocity=(30, 0, 0), frequency=0, tint=(0.6, 0.3, 0.1))
+    scene, seen, size, previous = Rects([wall, mover, bar]), camera(96, 64), (96, 64), None
+    pipeline = Pipeline(device, *size, OPTIONS)
+    for time in np.arange(4) / 30:
+        pipeline.submit(scene.frame(seen, time, *size, previous, reset=previous is None))
+        previous = (seen, time)
+    shown, truth = pipeline.extrapolate(seen, 3.5 / 30).numpy("color"), scene.color(seen, 3.5 / 30, *size)
+    repeated = (shown[..., 0] > 0.3) & (truth[..., 2] > 0.5)
+    assert repeated.sum() <= 2 * 24  # columns and rows: 5 columns without the mover's own motion
 
 
 def test_stages_that_add_to_footprints_are_left_out():

@@ -23,7 +23,7 @@ SHARING = (
     "scatter_level",
     "project_levels",
     "resolve",
-    "list_edges",
+    "fill_hidden_parts",
     "soften",
 )
 

@@ -15,6 +15,7 @@ def test_flow_and_candidates_equal_their_twin(device, size, alpha):
     stage, rng = board.stages["shading_flow"], np.random.default_rng(7)
     frames = moving_frames(board.sizes.of("network"), rng)
     board.stages["network_input"].upload("frames", frames)
+    board.stages["shading_trend"].upload("changed", np.ones(1, np.int32))
     stage.extrapolated(step)
     flow, differences, candidates = twins.find_candidates(frames, board.stages["shading_trend"].read("trends"), alpha)
     assert np.isfinite(candidates).all() and np.abs(flow).max() > 0.01
@@ -22,6 +23,7 @@ def test_flow_and_candidates_equal_their_twin(device, size, alpha):
     assert stage.read("differences").tobytes() == differences.tobytes()
     assert stage.read("candidates").tobytes() == candidates.tobytes()
     assert stage.read("texture").tobytes() == twins.find_texture(frames).tobytes()
+    assert stage.read("followed").tobytes() == twins.find_followed(frames, flow).tobytes()
 
 
 def test_the_flow_of_a_moved_pattern_is_found(device):
@@ -32,3 +34,23 @@ def test_the_flow_of_a_moved_pattern_is_found(device):
     board.stages["shading_flow"].extrapolated(step)
     flow = board.stages["shading_flow"].read("flow2")[:, 3:9, 4:-4]  # of the half without noise
     assert np.abs(flow - np.array([1.5, -0.8], np.float32)[:, None, None]).mean() < 0.1
+
+
+def test_a_flow_is_followed_where_it_explains_the_last_interval(device):
+    """Not where something moves, where depth has an edge, where the flow explains nothing, nor in a still frame."""
+    board, _, step = made_stages(device, (512, 192))
+    frames = moving_frames(board.sizes.of("network"), np.random.default_rng(0))
+    frames[6:] = 0.5
+    frames[6, :, 100:] = 1.0
+    frames[7, :, 180:] = 1.0
+    stage, trends = board.stages["shading_flow"], board.stages["shading_trend"]
+    board.stages["network_input"].upload("frames", frames)
+    trends.upload("changed", np.ones(1, np.int32))
+    stage.extrapolated(step)
+    followed = stage.read("followed")
+    assert followed.tobytes() == twins.find_followed(frames, stage.read("flow2")).tobytes()
+    assert followed[4:20, 8:48].mean() > 0.9 and followed[4:20, 52:88].mean() > 0.9
+    assert not followed[:, 49:51].any() and not followed[:, 90:].any()
+    trends.upload("changed", np.zeros(1, np.int32))
+    stage.extrapolated(step)
+    assert not stage.read("followed").any()

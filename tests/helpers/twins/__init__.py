@@ -11,7 +11,7 @@ from twins.background import EDGE, REMEMBERED, SHOWN, collect_levels, collect_sh
 from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
 from twins.convolutions import judge_with
-from twins.correction import choose_flow, correct, judge
+from twins.correction import choose_flow, correct, follow_flow, judge
 from twins.hidden_parts import fill_hidden_parts, show_reappearing
 from twins.history import EXACT, last_stir, residual_histogram, static_threshold, track_history
 from twins.holes import asked_texels, border_lines, continued_surfaces, downsample, fill_holes, mix_far_side
@@ -19,7 +19,7 @@ from twins.network_input import decode, depth_median, encode, network_input
 from twins.prediction import entering_depth, predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
-from twins.shading_flow import find_candidates, find_texture
+from twins.shading_flow import find_candidates, find_followed, find_texture
 from twins.shading_trend import carry_trends, find_change, find_trend, measure_changes
 from twins.upload import (
     convert_color,
@@ -63,8 +63,10 @@ __all__ = [
     "fill_holes",
     "find_candidates",
     "find_change",
+    "find_followed",
     "find_texture",
     "find_trend",
+    "follow_flow",
     "judge",
     "judge_with",
     "last_stir",

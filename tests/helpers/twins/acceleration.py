@@ -1,10 +1,10 @@
-"""Twin of acceleration.cl."""
+"""Twin of acceleration.h."""
 
 import numpy as np
 
 from twins.common import INF, F, centers, kernel_constants, move, rotate, unproject
 
-ACCELERATION = kernel_constants("acceleration.cl")
+ACCELERATION = kernel_constants("acceleration.h")
 
 
 def _is_of_cell(z, cell_depth):
@@ -22,9 +22,10 @@ def _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth):
     return [sum((a[at] for at in of_it), F(0)) / count for a in (p0 - p1, p0 - p1_prev, px_prev, depth, met_depth)]
 
 
-def _lasted(found, before):
+def _lasted(velocity, found, before):
     size = (found * found).sum()
-    return np.clip((found * before).sum() / size, F(0), F(1)) if size > 0 else F(0)
+    share = (found * before).sum() / size if size > 0 else F(0)
+    return np.clip(share * F(ACCELERATION.SLOWS) if (found * velocity).sum() < 0 else share, F(0), F(1))
 
 
 def _trust(velocity, found, share):
@@ -118,7 +119,7 @@ def track_acceleration(
         if before_weights > 0 and carried == was_carried:
             before = ratio * ratio * (before / before_weights)
             before = before if carried else rotate(before, from_previous)
-            share, later = _lasted(found, before), _carried_on(found, before)
+            share, later = _lasted(v, found, before), _carried_on(found, before)
         acceleration[y, x] = (*found, _trust(v, found, share))
         bend[y, x, :3] = acceleration[y, x, 3] * later
     bend[..., 3] = np.maximum(acceleration[..., 3], F(0))

@@ -98,3 +98,23 @@ def correct(color, frames, correction, exposure, within_mask=True):
     touched = share[..., 0] > 0
     final[touched, :3], final[touched, 3] = mixed[touched].astype(np.float16), 0
     return refined, m.astype(np.float16), final
+
+
+def follow_flow(extrapolated, flow, followed, color, alpha):
+    """Return the final image (H, W, 4) float16 from `color`, that before."""
+    height, width = color.shape[:2]
+    y, x = np.mgrid[:height, :width].astype(F)
+
+    def shrunk(plane, factor):
+        scale = F(1) / F(factor)
+        offset = F(0.5) * scale - F(0.5)
+        return sampled(plane, scale * x + offset, scale * y + offset)
+
+    share = (CORRECTION.FOLLOWED_SHARE * shrunk(followed, 4))[..., None]
+    to_x, to_y = (p + F(4) * F(alpha) * shrunk(plane, 8) for p, plane in ((x, flow[0]), (y, flow[1])))
+    with np.errstate(invalid="ignore", over="ignore"):
+        moved = np.stack([sampled(extrapolated[..., c].astype(F), to_x, to_y) for c in range(3)], -1)
+        mixed = load_color(color) * (F(1) - share) + load_color(moved) * share
+    final, touched = color.copy(), share[..., 0] > 0
+    final[touched, :3], final[touched, 3] = mixed[touched].astype(np.float16), 0
+    return final

@@ -2,9 +2,11 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, reproject
+from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, kernel_constants, reproject
 from twins.dilate_splat import NOTHING, SPLAT, components, dilate, with_neighbors, words_of
 from twins.warp import codes_of, load_color, resampled
+
+DILATED = kernel_constants("dilated_warp.cl")
 
 
 def dilated_splat(target_position, depth, zoom, target_size):
@@ -29,30 +31,42 @@ def dilated_splat(target_position, depth, zoom, target_size):
     return keys
 
 
-def with_surfaces_beside(keys, z_there, zoom):
-    """Return keys in which pixels that none reached have that of the nearest surface beside which shows nothing nearer
-    where it leads them. `z_there` (H, W): depths of the rendered frame's pixels in the new one."""
-    own = centers(*keys.shape) * (F(1) / zoom)
+def places_beside(keys, target_position, dynamic, zoom, to_source):
+    """Return where all pixels come from, (H', W', 2) px in the rendered frame. Those that none reached: as the nearest
+    surface beside that shows nothing nearer where it leads them, or as far surfaces; but as the mover that is shown
+    there if it has gone elsewhere, or stands at the border of the image."""
+    height, width = dynamic.shape
+    center = centers(*keys.shape)
+    own = center * (F(1) / zoom)
+
+    def pixel_at(px):
+        return tuple(np.moveaxis(np.clip(np.trunc(px), 0, (width - 1, height - 1)).astype(int), -1, 0)[::-1])
 
     def shows_itself(y, x, offered):
-        come_from = components(words_of(offered)) + own[y, x]
-        sx, sy = np.clip(np.trunc(come_from), 0, np.array(z_there.shape)[::-1] - 1).astype(int).T
         depth = (offered >> np.uint64(32)).astype(np.uint32).view(F)
-        return z_there[sy, sx] >= SPLAT.NEARER * depth
+        return target_position[pixel_at(components(words_of(offered)) + own[y, x])][:, 2] >= SPLAT.NEARER * depth
 
-    return with_neighbors(keys, shows_itself)
+    found = with_neighbors(keys, shows_itself)
+    far = reproject(center, np.full(keys.shape, INF, F), to_source)
+    beside = np.where((found == NOTHING)[..., None], far[..., :2], components(words_of(found)) + own)
+    place = np.where(((found == NOTHING) & ~(far[..., 2] > 0))[..., None], own, beside)
+
+    there, off = target_position[pixel_at(place)], target_position[pixel_at(place)][..., :2] - center
+    stays = (place >= 0).all(-1) & (place < (width, height)).all(-1) & (np.abs(off) <= DILATED.GONE).all(-1)
+    moved = np.stack(pixel_at(place)[::-1], -1).astype(F) + F(0.5) - off * (F(1) / zoom)
+    is_free = target_position[pixel_at(moved)][..., 2] >= DILATED.NEARER * there[..., 2]
+    goes = (keys == NOTHING) & (dynamic[pixel_at(place)] > 0) & ~stays & (there[..., 2] > 0) & is_free
+    return np.where(goes[..., None], moved, place)
 
 
 def resample_dilated(keys, target_position, color, dynamic, zoom, to_source, sharpness):
     """Return all outputs of the stage, as a dict of (H', W', …) arrays named like the frame's buffers."""
     height, width = keys.shape
     source_height, source_width = dynamic.shape
-    filling, center = with_surfaces_beside(keys, target_position[..., 2], zoom), centers(height, width)
+    center = centers(height, width)
     reached = words_of(keys) != NOBODY
-    far = reproject(center, np.full(keys.shape, INF, F), to_source)
-    far_from = np.where(far[..., 2:] > 0, far[..., :2] - center * (F(1) / zoom), F(0))
-    come_from = np.where((filling == NOTHING)[..., None], far_from, components(words_of(filling)))
-    px = np.clip(come_from + center * (F(1) / zoom), F(0.5), np.array((source_width, source_height), F) - F(0.5))
+    come_from = places_beside(keys, target_position, dynamic, zoom, to_source)
+    px = np.clip(come_from, F(0.5), np.array((source_width, source_height), F) - F(0.5))
     sx, sy = np.moveaxis(px.astype(int), -1, 0)
     first = np.floor(px - F(0.5))
     u, v = np.moveaxis(px - F(0.5) - first, -1, 0)

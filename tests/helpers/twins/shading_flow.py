@@ -1,6 +1,7 @@
 """Twin of shading_flow.cl, doubling.h and sampling.h."""
 
 import numpy as np
+from numpy.lib.stride_tricks import sliding_window_view
 
 from twins.common import F, kernel_constants
 
@@ -98,8 +99,7 @@ def find_texture(frames):
     """Return (h/2, w/2) from frames (8, h, w): how far detail of brightness within 2×2 pixels is the same in both
     frames."""
     change, power = F(0), FLOW.FAINT
-    third = FLOW.THIRD
-    parts = [(third * c[0] + third * c[1]) + third * c[2] for c in (frames[:3], frames[3:6])]
+    third, parts = FLOW.THIRD, _brightness(frames)
     means = [third * _in_order([halved(plane) for plane in c]) for c in (frames[:3], frames[3:6])]
     for y in (0, 1):
         for x in (0, 1):
@@ -107,6 +107,29 @@ def find_texture(frames):
             changed = now - before
             change, power = change + changed * changed, power + (now * now + before * before)
     return np.clip(FLOW.TEXTURE - FLOW.TEXTURE_CHANGE * (change / power), F(0), F(1))
+
+
+def _brightness(frames):
+    """Return that of both frames, at half resolution."""
+    third = FLOW.THIRD
+    return [(third * c[0] + third * c[1]) + third * c[2] for c in (frames[:3], frames[3:6])]
+
+
+def find_followed(frames, flow):
+    """Return (h/2, w/2) from frames (8, h, w) and flow (2, h/4, w/4): 1 where the image follows the flow."""
+    now, before = _brightness(frames)
+    finer = F(2) * np.stack([doubled(plane) for plane in flow])
+    still, along = (mean_around(F(0.25) * _summed((a - now) ** 2)) for a in (before, warped(before, finer)))
+    follows = (still > FLOW.UNLIKE) & (along < FLOW.EXPLAINED * still)
+    follows &= (np.abs(finer) < F(now.shape[1]) * (F(1) / F(FLOW.LONGEST_FLOW))).all(0)
+    around = sliding_window_view(np.pad(finer, ((0, 0), (1, 1), (1, 1)), mode="edge"), (3, 3), axis=(1, 2))
+    follows &= (around.max((-1, -2)) - around.min((-1, -2)) < FLOW.SMOOTH).all(0)
+    inverse, mask = frames[FLOW.INVERSE_DEPTH], frames[FLOW.INPUT_MASK]
+    p, most = np.pad(inverse, 1, mode="edge"), FLOW.BENT * inverse
+    across = p[1:-1, :-2] + p[1:-1, 2:] - F(2) * inverse
+    down = p[:-2, 1:-1] + p[2:, 1:-1] - F(2) * inverse
+    rough = (np.abs(across) > most) | (np.abs(down) > most) | (mask != FLOW.REST)
+    return (follows & (_summed(rough.astype(F)) == 0)).astype(F)
 
 
 def find_candidates(frames, trends, alpha):

@@ -17,20 +17,10 @@ from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.inspection.attached import wire
 from gffe_cl.engine.inspection.attached.channel import NO_ANSWER, OtherVersion, connect, own_version
 from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
 from gffe_cl.engine.inspection.attached.shared_memory import About, RecordingPlan, mapped, recorded
-from gffe_cl.engine.inspection.attached.wire import (
-    FROM_PROGRAM,
-    Ask,
-    Greeting,
-    Look,
-    Program,
-    Recording,
-    Refused,
-    Seen,
-    Use,
-)
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.options import Options
@@ -67,17 +57,17 @@ class RunningProgram:
         self.specs: dict[str, LayerSpec] = {}
         self._channel = connect(name)
         self._news = threading.Condition()
-        self._seen: tuple[Seen, dict[str, np.ndarray]] | None = None
+        self._seen: tuple[wire.Seen, dict[str, np.ndarray]] | None = None
         self._owed = False  # an answer to `see`
         self._inspection: Inspection | None = None
-        self._refused: Refused | None = None
+        self._refused: wire.Refused | None = None
         self._block: mmap.mmap | None = None  # images of displayed frames
         self._plan: RecordingPlan | None = None
         self._recorded: mmap.mmap | None = None
         try:
             self._channel.agree(_ANSWER_SECONDS)
-            self._channel.send(encoded(Greeting(frames)))
-            self.about: Program = decoded(self._channel.receive(_ANSWER_SECONDS), Program)
+            self._channel.send(encoded(wire.Greeting(frames)))
+            self.about: wire.Program = decoded(self._channel.receive(_ANSWER_SECONDS), wire.Program)
         except BaseException as error:
             self._channel.close()
             reasons = {
@@ -96,22 +86,22 @@ class RunningProgram:
 
     def use(self, options: Options) -> None:
         """Have the pipeline work with `options` from its next rendered frame on."""
-        self._send(Use(options))
+        self._send(wire.Use(options))
 
-    def see(self, layers: frozenset[str], generated: bool, check: Callable[[], None]) -> tuple[Seen, dict]:
+    def see(self, layers: frozenset[str], generated: bool, check: Callable[[], None]) -> tuple[wire.Seen, dict]:
         """Return the next frame and its images, copied. Waits for it; `check` is called meanwhile and may raise. Raises
         GffeError if the program has ended, and if it refused options."""
         if self._owed:  # the caller did not wait for it, and may have requested other layers
             self._wait("_seen", check)
         self._owed = True
-        self._send(Look(layers, generated))
+        self._send(wire.Look(layers, generated))
         seen, images = self._wait("_seen", check)
         self._owed = False
         return seen, {name: np.array(image) for name, image in images.items()}
 
     def inspect(self, x: int, y: int, layers: frozenset[str] | None, check: Callable[[], None]) -> Inspection:
         """Return the next frame's values at a pixel. Waits and raises as `see` does."""
-        self._send(Ask(x, y, layers))
+        self._send(wire.Ask(x, y, layers))
         return self._wait("_inspection", check)
 
     def recording(self) -> Sequence:
@@ -152,7 +142,7 @@ class RunningProgram:
             while True:
                 packet, fds = self._channel.receive_with_fds()
                 try:
-                    self._take(decoded(packet, *FROM_PROGRAM), [mapped(descriptor) for descriptor in fds])
+                    self._take(decoded(packet, *wire.FROM_PROGRAM), [mapped(descriptor) for descriptor in fds])
                 finally:
                     for descriptor in fds:
                         os.close(descriptor)
@@ -164,12 +154,12 @@ class RunningProgram:
 
     def _take(self, message, blocks: list[mmap.mmap]) -> None:
         with self._news:
-            if isinstance(message, Recording):
+            if isinstance(message, wire.Recording):
                 (block,) = blocks
                 if message.plan.nbytes > len(block):
                     raise GffeError(f"{self.name}: its recording is larger than its memory")
                 self._plan, self._recorded = message.plan, block
-            elif isinstance(message, Seen):
+            elif isinstance(message, wire.Seen):
                 if blocks:
                     (self._block,) = blocks
                 if self._block is None:
@@ -181,7 +171,7 @@ class RunningProgram:
                 self._seen = message, images
             elif isinstance(message, Inspection):
                 self._inspection = message
-            elif isinstance(message, Refused):
+            elif isinstance(message, wire.Refused):
                 self.options, self._refused = message.options, message
             self._news.notify_all()
 

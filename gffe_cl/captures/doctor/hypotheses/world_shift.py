@@ -22,6 +22,12 @@ class Shift:
 
     matrix: np.ndarray
 
+    def is_undone_by(self, other: Shift) -> bool:
+        """Return whether another shift leads back, up to a tenth."""
+        rest, own = other.matrix @ self.matrix - np.eye(4), self.matrix - np.eye(4)
+        parts = slice(None, 3), slice(3, None)  # of rotation, and of translation
+        return all(np.linalg.norm(rest[:3, part]) <= 0.1 * np.linalg.norm(own[:3, part]) for part in parts)
+
     def __str__(self) -> str:
         moved = "moved by (" + ", ".join(f"{value + 0.0:.8g}" for value in self.matrix[:3, 3].round(6)) + ")"
         if (self.matrix[:3, :3] == np.eye(3)).all():

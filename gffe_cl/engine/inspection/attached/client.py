@@ -22,20 +22,10 @@ from gffe_cl.engine.core.validation import require_kind, require_whole
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.attached import wire
 from gffe_cl.engine.inspection.attached.channel import Channel, Listener
 from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
 from gffe_cl.engine.inspection.attached.shared_memory import Recorder, RecordingPlan, SharedBlock, placed
-from gffe_cl.engine.inspection.attached.wire import (
-    FROM_VIEWER,
-    Ask,
-    Greeting,
-    Look,
-    Program,
-    Recording,
-    Refused,
-    Seen,
-    Use,
-)
 from gffe_cl.engine.inspection.buffers import Moment, Shot, device_layers, pixel_values, start_reading
 from gffe_cl.engine.inspection.description import in_words
 from gffe_cl.engine.inspection.explain.motion_trail import Passed
@@ -166,17 +156,17 @@ def _look(watcher: _Watcher, channel: Channel, pipeline: weakref.ref) -> None:
 def _welcomed(channel: Channel, pipeline: weakref.ref) -> _Viewer:
     """Return the viewer, after the greeting. Raises an exception of any type unless it is one of this version."""
     channel.agree(_GREETING_SECONDS)
-    greeting = decoded(channel.receive(_GREETING_SECONDS), Greeting)
+    greeting = decoded(channel.receive(_GREETING_SECONDS), wire.Greeting)
     looked_into = pipeline()
     if looked_into is None:
         raise EOFError
-    sizes, fps = looked_into.sizes, looked_into.fps
-    about = Program(os.getpid(), sizes.target, sizes.source, fps, looked_into.device.info.name, looked_into.options)
+    sizes, fps, device = looked_into.sizes, looked_into.fps, looked_into.device.info.name
+    about = wire.Program(os.getpid(), sizes.target, sizes.source, fps, device, looked_into.options)
     channel.send(encoded(about))
     recorder = None
     if greeting.frames:
         recorder = Recorder(RecordingPlan.of(greeting.frames, sizes.source, sizes.target, fps))
-        channel.send(encoded(Recording(recorder.plan)), (recorder.block.descriptor,))
+        channel.send(encoded(wire.Recording(recorder.plan)), (recorder.block.descriptor,))
     return _Viewer(channel, recorder, sizes.target)
 
 
@@ -185,20 +175,20 @@ class _Viewer:
 
     def __init__(self, channel: Channel, recorder: Recorder | None, size: tuple[int, int]):
         self.channel, self.recorder, self._size = channel, recorder, size
-        self.looks: deque[Look] = deque(maxlen=1)
-        self.asks: deque[Ask] = deque(maxlen=1)
-        self.uses: deque[Use] = deque(maxlen=1)
+        self.looks: deque[wire.Look] = deque(maxlen=1)
+        self.asks: deque[wire.Ask] = deque(maxlen=1)
+        self.uses: deque[wire.Use] = deque(maxlen=1)
         self.block: SharedBlock | None = None
         self.specs: dict[str, LayerSpec] | None = None
         self.pending: _Pending | None = None  # the layers it will receive
 
     def take(self, packet: bytes) -> None:
         """Note the request. Raises GffeError for other packets."""
-        message = decoded(packet, *FROM_VIEWER)
-        if isinstance(message, Ask):
+        message = decoded(packet, *wire.FROM_VIEWER)
+        if isinstance(message, wire.Ask):
             require_whole(message.x, "attach: x", 0, self._size[0] - 1)
             require_whole(message.y, "attach: y", 0, self._size[1] - 1)
-        wishes = {Look: self.looks, Ask: self.asks, Use: self.uses}
+        wishes = {wire.Look: self.looks, wire.Ask: self.asks, wire.Use: self.uses}
         wishes[type(message)].append(message)
 
     def send(self, message, fds: tuple[int, ...] = ()) -> None:
@@ -292,11 +282,11 @@ class _Watcher:
         events = pipeline.board.commands.events
         self._mark = events[-1] if events else None
 
-    def _use(self, viewer: _Viewer, pipeline: Pipeline, use: Use) -> None:
+    def _use(self, viewer: _Viewer, pipeline: Pipeline, use: wire.Use) -> None:
         try:
             pipeline.change_options(use.options)
         except GffeError as error:
-            viewer.send(Refused(str(error), pipeline.options))
+            viewer.send(wire.Refused(str(error), pipeline.options))
         else:
             self._kept, self._camera = frozenset(), None
             self._passed.clear()
@@ -319,7 +309,8 @@ class _Watcher:
         self._frame_ms = (start - self._ended) * 1e3 if self._ended else 0.0
         self._ended = start
         preferred = self._generates <= 0 or made is not None
-        due = viewer.looks and start >= self._rested
+        asks_for_kept = viewer.looks and viewer.looks[0].layers == self._kept  # not in the midst of this frame
+        due = asks_for_kept and start >= self._rested
         if due:
             turn = (made is not None) != self._seen_generated or self._skipped >= _MOST_SKIPPED
             due = preferred if viewer.looks[0].generated else turn or (made is None and preferred)
@@ -356,7 +347,7 @@ class _Watcher:
             buffers[names.GAE] = made.gae
         return Shot(Moment(self._number, made.alpha, made.time, made.camera, *cameras), buffers)
 
-    def _start(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, look: Look, start: float) -> None:
+    def _start(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, look: wire.Look, start: float) -> None:
         """Start reading the layers back while the program continues."""
         converted = tuple(spec.name for _, spec, _ in pipeline.conversions())
         board, before = (
@@ -400,14 +391,14 @@ class _Watcher:
         look_ms = pending.look_ms + (now - start) * 1e3
         self._rested = max(self._rested, now + look_ms * 1e-3 / _MOST_SHARE)
         viewer.send(
-            Seen(
+            wire.Seen(
                 pending.moment, places, specs, kernels, pending.frame_ms, look_ms, pipeline.bad_pixels,
                 pipeline.exposure, pipeline.options, self._pacer.statistics if self._pacer else None, self._buffers,
             ),
             fds,
         )  # fmt: skip
 
-    def _inspect(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, ask: Ask) -> None:
+    def _inspect(self, viewer: _Viewer, pipeline: Pipeline, shot: Shot, ask: wire.Ask) -> None:
         values = pixel_values(pipeline, shot, ask.x, ask.y)
         story = pixel_story(pipeline, shot, ask.x, ask.y, values, self._passed)
         found = Inspection((ask.x, ask.y), 0, story.source, values.here, story, origin=values.origin)

@@ -22,6 +22,7 @@ from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step, Story
 from gffe_cl.engine.inspection.explain.refusals import (
     what_was_taken,
+    where_it_enters_from,
     where_it_reappears_from,
     why_no_background,
     why_no_mover,
@@ -126,6 +127,8 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
     mask = f"focus mask {float(values[names.FOCUS_MASK][0]):.2f}"
     if not pipeline.options.focus_mask:
         mask += ", which is off"
+    if pipeline.options.image_flow and values[names.FOLLOWED][0]:
+        mask += "; half of it from along the flow of the image"
     colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
     said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
     step = Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
@@ -140,7 +143,8 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     if number in (BY_HOLE_FILLING, BY_NOTHING):
         return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, (x, y), source_px, values))
     if number in (BY_HIDDEN_PART, BY_REAPPEARING):
-        return Story((x, y), label, source_px, sentences=_hidden_sentences(pipeline, shot, source_px, values, number))
+        said = _hidden_sentences(pipeline, shot, (x, y), source_px, values, number)
+        return Story((x, y), label, source_px, sentences=said)
     if level is not None and values[names.DISOCCLUDED][0]:
         return _background_story(pipeline, shot, (x, y), source_px, level, values)
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
@@ -182,14 +186,17 @@ def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]
     there = _to_source(shot, source_px)
     if reached:
         return (Step(f"It comes from {where}, with the motion of the nearest of 3×3 pixels there.", *there),)
-    said = "No fragment of that frame lands here: it moves as the nearest surface beside it."
+    said = "No fragment of that frame lands here: it moves as the nearest surface beside it, or a mover that has left."
     return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
 
 
-def _hidden_sentences(pipeline: Pipeline, shot: Shot, source_px, values, number: int) -> tuple[str, ...]:
+def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, number: int) -> tuple[str, ...]:
     depth, front = float(values[names.DEPTH][0]), None
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
+    elif source_px and (enters := where_it_enters_from(pipeline, shot, pixel)):
+        where = f"({source_px[0]:.1f}, {source_px[1]:.1f}), outside of rendered frame {shot.moment.k}"
+        return enters, f"Moving like that it was at {where}."
     said = "A hidden part of a mover: the mean of the mover around it, with its motion."
     if number == BY_REAPPEARING:
         said = "A part of a mover that comes out: the color it had in the frame before, with the mover's motion."

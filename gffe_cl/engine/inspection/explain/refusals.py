@@ -1,4 +1,5 @@
-"""Why stages refused a pixel that is left to hole filling, and which pixels that took, from the slot's buffers."""
+"""Why stages refused a pixel that is left to hole filling, and which pixels that and the movers' stages took, from the
+slot's buffers."""
 
 from __future__ import annotations
 
@@ -15,7 +16,7 @@ from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import MAX_LEVELS
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.background import REMEMBERED
-from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING
+from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_HOLE_FILLING, BY_REAPPEARING
 from gffe_cl.engine.stages.history import DYNAMIC
 
 _MOVERS, _HOLES = constants("hidden_parts.cl"), constants("holes.cl")
@@ -38,10 +39,11 @@ class _Block:
         """Return the values (channels,) of a pixel within the block."""
         return self._values[name][y - self.y, x - self.x]
 
-    def first(self, direction: tuple[int, int], wanted) -> tuple[int, int] | None:
-        """Return the first pixel in a direction, within reach, for which `wanted(x, y)` is true."""
-        (x, y), step = self.pixel, math.hypot(*direction)
-        for t in range(1, int(self.reach / step) + 1):
+    def first(self, direction: tuple[int, int], wanted, start: int = 1, most: int | None = None) -> tuple | None:
+        """Return the first pixel in a direction, within reach, for which `wanted(x, y)` is true. At most `most` pixels
+        are looked at, from step `start` on."""
+        (x, y), last = self.pixel, int(self.reach / math.hypot(*direction))
+        for t in range(start, min(last, last if most is None else start + most - 1) + 1):
             at = x + t * direction[0], y + t * direction[1]
             if not (self.x <= at[0] < self.x + self.width and self.y <= at[1] < self.y + self.height):
                 return None
@@ -72,13 +74,18 @@ def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step
     )
 
 
+def _moves_along(shot: Shot, block: _Block, x: int, y: int) -> tuple[float, float]:
+    """Return where the pixel of `block` was in the rendered image if it moves as the mover at (x, y) does."""
+    camera, rendered, motion = shot.moment.camera, shot.moment.render_camera, block.at(names.MOTION, x, y)
+    off = (block.pixel[0] - x) * rendered.fx / camera.fx, (block.pixel[1] - y) * rendered.fy / camera.fy
+    return float(x + 0.5 + motion[0] + off[0]), float(y + 0.5 + motion[1] + off[1])
+
+
 def _why_not_of(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -> str:
     """Return why the pixel of `block` is no part of the mover at (x, y)."""
     moment, layers = shot.moment, device_layers(pipeline, shot)
     camera, rendered = moment.camera, moment.render_camera
-    z, motion = float(block.at(names.DEPTH, x, y)[0]), block.at(names.MOTION, x, y).astype(np.float64)
-    off = (block.pixel[0] - x) * rendered.fx / camera.fx, (block.pixel[1] - y) * rendered.fy / camera.fy
-    place = float(x + 0.5 + motion[0] + off[0]), float(y + 0.5 + motion[1] + off[1])
+    z, place = float(block.at(names.DEPTH, x, y)[0]), _moves_along(shot, block, x, y)
     was = f"it would have been at ({place[0]:.1f}, {place[1]:.1f}) of rendered frame {moment.k}"
     at = layers[names.RENDERED_DEPTH].place((0, 0), place)
     if at is None:
@@ -137,7 +144,8 @@ def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], so
 
 class _Taken(NamedTuple):
     """A pixel beside the hole: its depth and `inverse` depth, and 1 / distance. The hole's pixel at that depth is
-    `outside` of the rendered image, or may be a surface `behind` what that shows."""
+    `outside` of the rendered image, or may be a surface `behind` what that shows. It is of a `mover`, or was `made_up`
+    for one. `past`: what the direction met first, which cannot be there."""
 
     at: tuple[int, int]
     depth: float
@@ -145,6 +153,16 @@ class _Taken(NamedTuple):
     closeness: float
     outside: bool
     behind: bool
+    mover: bool
+    made_up: bool
+    past: _Taken | None = None
+
+    @property
+    def told(self) -> str:
+        at = f"({self.at[0]}, {self.at[1]}) at depth {self.depth:.4g}"
+        if self.past is None:
+            return at
+        return f"{at} past {'a mover' if self.past.mover else 'a bar'} in front at depth {self.past.depth:.4g}"
 
 
 def what_was_taken(
@@ -160,8 +178,9 @@ def what_was_taken(
     def is_beside(x: int, y: int) -> bool:
         return int(block.at(names.FILLED_BY, x, y)[0]) != BY_HOLE_FILLING
 
-    first = (block.first(direction, is_beside) for direction in _DIRECTIONS)
-    met = [_taken(pipeline, shot, block, at) for at in first if at is not None]
+    first = {direction: block.first(direction, is_beside) for direction in _DIRECTIONS}
+    ways = {way: _taken(pipeline, shot, block, at) for way, at in first.items() if at is not None}
+    met = list(ways.values())
     color = f"The result is ({', '.join(f'{float(c):.3g}' for c in values[names.FINAL][:3])})."
     if not met:
         return Step(
@@ -170,8 +189,11 @@ def what_was_taken(
             Link("downsampled", "holes.downsampled_color"),
         )
     beyond = [one for one in met if one.outside]
+    if not beyond and not all(one.mover for one in met):
+        looked = (one if one.behind else _past(pipeline, shot, block, way, one) for way, one in ways.items())
+        met = [one for one in looked if one is not None]
     used = beyond or _behind(met)
-    listed = ", ".join(f"({one.at[0]}, {one.at[1]}) at depth {one.depth:.4g}" for one in used)
+    listed = ", ".join(one.told for one in used)
     links = [Link(f"({one.at[0]}, {one.at[1]})", names.FINAL, pixel=one.at) for one in used]
     if beyond:
         said = f"It took depth from {listed}, which lie outside of the rendered image here, and color from its border."
@@ -187,12 +209,35 @@ def _taken(pipeline: Pipeline, shot: Shot, block: _Block, at: tuple[int, int]) -
     center = block.pixel[0] + 0.5, block.pixel[1] + 0.5
     place, z = moment.render_camera.project(moment.camera.unproject(center, depth if inverse else 1e6))
     texel = layers[names.RENDERED_DEPTH].place((0, 0), (float(place[0]), float(place[1]))) if z > 0 else None
-    behind = False
-    if texel is not None:
+    behind, made_up = False, int(block.at(names.FILLED_BY, *at)[0]) in (BY_HIDDEN_PART, BY_REAPPEARING)
+    mover = made_up or bool(block.at(names.DYNAMIC, *at)[0])
+    if texel is not None and not mover:
         shown = read_blocks(pipeline, {"depth": (layers[names.RENDERED_DEPTH], *texel, 1, 1)})["depth"].flat[0]
-        static = not block.at(names.DYNAMIC, *at)[0] and int(block.at(names.FILLED_BY, *at)[0]) != BY_HIDDEN_PART
-        behind = bool(shown > 0 and static and not (z if inverse else math.inf) < _HOLES["IN_FRONT"] * shown)
-    return _Taken(at, depth, inverse, 1.0 / math.dist(at, block.pixel), texel is None, behind)
+        behind = bool(shown > 0 and not (z if inverse else math.inf) < _HOLES["IN_FRONT"] * shown)
+    closeness = 1.0 / math.dist(at, block.pixel)
+    return _Taken(at, depth, inverse, closeness, texel is None, behind, mover, made_up)
+
+
+def _past(pipeline: Pipeline, shot: Shot, block: _Block, direction: tuple[int, int], one: _Taken) -> _Taken | None:
+    """Return what a direction meets past `one`, which cannot be there: a static surface behind it that can be. Without
+    any `one` counts, unless it was made up."""
+    before = 0.0 if one.mover else one.depth
+
+    def can_be_there(x: int, y: int) -> bool:
+        nonlocal before
+        if int(block.at(names.FILLED_BY, x, y)[0]) == BY_HOLE_FILLING:
+            return False
+        other = _taken(pipeline, shot, block, (x, y))
+        if other.mover or not other.depth > before:
+            return False
+        before = other.depth
+        return other.behind
+
+    steps = max(abs(one.at[0] - block.pixel[0]), abs(one.at[1] - block.pixel[1]))
+    at = block.first(direction, can_be_there, steps + 1, int(block.reach // _HOLES["PAST_SHARE"]))
+    if at is None:
+        return None if one.made_up else one
+    return _taken(pipeline, shot, block, at)._replace(past=one)
 
 
 def _behind(met: list[_Taken]) -> list[_Taken]:
@@ -208,6 +253,31 @@ def _behind(met: list[_Taken]) -> list[_Taken]:
 
     chosen = max(candidates, key=lambda one: sum(other.closeness for other in candidates if alike(one, other)))
     return [one for one in candidates if alike(one, chosen)]
+
+
+def where_it_enters_from(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step | None:
+    """Return the pixel of a mover that enters through the border that is repeated at `pixel`: the one straight inward
+    or, in a corner, inward from the other border. None if there is none."""
+    size = pipeline.sizes.target
+    wanted = (names.DYNAMIC, names.DISOCCLUDED, names.MOTION)
+    block = _Block(pipeline, shot, pixel, int(size[0] // _MOVERS["BORDER_SHARE"]), wanted)
+    ways = []
+    for axis, borders in enumerate((("left", "right"), ("top", "bottom"))):
+        far = 2 * pixel[axis] >= size[axis]
+        inward = -1 if far else 1
+        distance = size[axis] - 1 - pixel[axis] if far else pixel[axis]
+        ways.append((distance, axis, (inward, 0) if axis == 0 else (0, inward), borders[far]))
+    for (_, axis, direction, border), where in zip(sorted(ways), ("", " in a corner"), strict=True):
+        at = block.first(direction, lambda x, y: not block.at(names.DISOCCLUDED, x, y)[0])
+        if at is None or not block.at(names.DYNAMIC, *at)[0]:
+            continue
+        along = _moves_along(shot, block, *at)[axis]
+        if along < 0 if sum(direction) > 0 else along >= pipeline.sizes.source[axis]:
+            said = f"A part of a mover that enters through the {border} border{where}: no frame has shown it, so"
+            repeated = f"{said} it repeats ({at[0]}, {at[1]}), with its motion."
+            filled = Link("filled by", names.FILLED_BY)
+            return Step(repeated, filled, Link("that mover", names.DYNAMIC, pixel=at))
+    return None
 
 
 def where_it_reappears_from(pipeline: Pipeline, shot: Shot, source_px: tuple[float, float] | None) -> Step | None:

@@ -1,10 +1,10 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
-   only as much of it counts as there was an interval before, and a share where that is not known. On arcs acceleration
-   turns: its own change goes on, too. Cells without a mover are skipped. Some movers are carried by the camera, as
-   wipers and hands are: where velocity in view space has changed less since the frame before than that in the world,
-   velocity and acceleration go on in view space. */
+   only as much of it counts as there was an interval before, and a share where that is not known; more where the mover
+   slows down. On arcs acceleration turns: its own change goes on, too. Cells without a mover are skipped. Some movers
+   are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
+   before than that in the world, velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
@@ -14,6 +14,7 @@
 /* BEND_MOST: an acceleration of more than this share of the velocity counts less, the more the larger it is */
 #define BEND_MOST 0.5f
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
+#define SLOWS 1.5f /* times the share that there was before: what counts of it where a mover slows down */
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
 /* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
    the world ... */
@@ -40,6 +41,14 @@ typedef struct {
     __global const uchar *dynamic_mask;
     __global const float *met_depth;
 } Tracked;
+
+/* The movers of the cells, and those of the frame before. */
+typedef struct {
+    __global const float4 *velocity_prev;
+    __global const uint2 *acceleration_prev, *view_velocity_prev;
+    __global float4 *velocity;
+    __global uint2 *acceleration, *bend, *view_velocity;
+} Movers;
 
 INLINE bool is_known(const Tracked f, const int src) {
     return f.dynamic_mask[src] == DYNAMIC && f.met_depth[src] > 0.0f;
@@ -88,16 +97,19 @@ INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame 
     return mover;
 }
 
-INLINE float squared_length(const float3 v) {
-    const float3 squares = v * v;
-    return squares.x + squares.y + squares.z;
+INLINE float product_of(const float3 a, const float3 b) {
+    const float3 products = a * b;
+    return products.x + products.y + products.z;
 }
 
-/* The share of an acceleration that existed an interval before, 0 to 1. */
-INLINE float lasted(const float3 acceleration, const float3 before) {
-    const float3 ab = acceleration * before;
+INLINE float squared_length(const float3 v) { return product_of(v, v); }
+
+/* The share of an acceleration that goes on, 0 to 1: what there was of it an interval before, and more of it where a
+   mover slows down. */
+INLINE float lasted(const float3 velocity, const float3 acceleration, const float3 before) {
     const float size = squared_length(acceleration);
-    return size > 0.0f ? clamp(divide(ab.x + ab.y + ab.z, size), 0.0f, 1.0f) : 0.0f;
+    const float share = size > 0.0f ? divide(product_of(acceleration, before), size) : 0.0f;
+    return clamp(product_of(acceleration, velocity) < 0.0f ? SLOWS * share : share, 0.0f, 1.0f);
 }
 
 /* Weight of an acceleration, 0 to 1: `share` of it, and less where it bends the path sharply. */
@@ -108,8 +120,8 @@ INLINE float trust(const float3 velocity, const float3 acceleration, const float
 
 /* An acceleration as it will be, by how it was `before`. */
 INLINE float3 carried_on(const float3 acceleration, const float3 before) {
-    const float3 change = acceleration - before, cc = change * change, aa = acceleration * acceleration;
-    const float size = cc.x + cc.y + cc.z, most = TURN_MOST * TURN_MOST * (aa.x + aa.y + aa.z);
+    const float3 change = acceleration - before;
+    const float size = squared_length(change), most = TURN_MOST * TURN_MOST * squared_length(acceleration);
     return acceleration + (size > most ? TURN * divide(most, size) : TURN) * change;
 }
 
@@ -117,26 +129,18 @@ INLINE float3 carried_on(const float3 acceleration, const float3 before) {
    where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it
    has added alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover:
    acceleration and bend are of view space there. `ratio`: of the last two intervals. */
-SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __global const float *depth,
-                                        __global const float2 *motion, __global const uchar *dynamic_mask,
-                                        __global const float *met_depth, __global const float4 *velocity_prev,
-                                        __global const uint2 *acceleration_prev,
-                                        __global const uint2 *view_velocity_prev, __global float4 *velocity,
-                                        __global uint2 *acceleration, __global uint2 *bend,
-                                        __global uint2 *view_velocity) {
-    const Tracked fragments = {.depth = depth, .motion = motion, .dynamic_mask = dynamic_mask, .met_depth = met_depth};
+INLINE void track_acceleration(const int cell_x, const int cell_y, __constant Frame *frame, const Tracked fragments,
+                               const Movers f) {
     const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
     const float ratio = frame->interval_ratio;
     const Reprojection from_previous = frame->from_previous;
-    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
-    if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
     const Mover mover = mover_of_cell(cell_x, cell_y, frame, fragments);
-    velocity[cell] = (float4)(mover.velocity, mover.depth);
-    acceleration[cell] = packed((float3)(0.0f), -1.0f);
-    bend[cell] = packed((float3)(0.0f), 0.0f);
-    view_velocity[cell] = packed(mover.view_velocity, 0.0f);
+    f.velocity[cell] = (float4)(mover.velocity, mover.depth);
+    f.acceleration[cell] = packed((float3)(0.0f), -1.0f);
+    f.bend[cell] = packed((float3)(0.0f), 0.0f);
+    f.view_velocity[cell] = packed(mover.view_velocity, 0.0f);
     if (!(mover.depth > 0.0f)) return;
 
     const float per_px = 1.0f / (float)MOVER_CELL;
@@ -148,15 +152,15 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
         if (!inside(tap_x, tap_y, level_width, level_height)) continue;
-        const float4 v = velocity_prev[tap_y * level_width + tap_x];
+        const float4 v = f.velocity_prev[tap_y * level_width + tap_x];
         if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
         const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
         velocity_sum += weight * v.xyz;
-        const uint2 seen = view_velocity_prev[tap_y * level_width + tap_x];
+        const uint2 seen = f.view_velocity_prev[tap_y * level_width + tap_x];
         view_velocity_sum += weight * unpacked(seen);
         was_carried |= is_trusted(seen);
         weight_sum += weight;
-        const uint2 a = acceleration_prev[tap_y * level_width + tap_x];
+        const uint2 a = f.acceleration_prev[tap_y * level_width + tap_x];
         if (!is_trust_known(a)) continue;
         before_sum += weight * unpacked(a);
         before_weight_sum += weight;
@@ -173,7 +177,7 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
         if (carried) {
             now = mover.view_velocity;
             was = seen;
-            view_velocity[cell] = packed(now, 1.0f);
+            f.view_velocity[cell] = packed(now, 1.0f);
         }
     }
     const float3 found = (now - was) * divide(ratio, 1.0f + ratio);
@@ -182,10 +186,10 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     if (before_weight_sum > 0.0f && carried == was_carried) {
         const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
         const float3 before = carried ? found_before : rotate_to_target(found_before, from_previous);
-        share = lasted(found, before);
+        share = lasted(now, found, before);
         later = carried_on(found, before);
     }
     const float trusted = trust(now, found, share);
-    acceleration[cell] = packed(found, trusted);
-    bend[cell] = packed(trusted * later, trusted);
+    f.acceleration[cell] = packed(found, trusted);
+    f.bend[cell] = packed(trusted * later, trusted);
 }
