@@ -68,6 +68,15 @@ def test_shared_memory_gives_the_same_bits(program, tmp_path, semaphores, waits)
     assert f"the host waits {waits} times a frame, {semaphores} semaphores" in found.stdout
 
 
+def test_a_capture_passes_the_doctor(program, tmp_path):
+    found = ran(program, tmp_path, "--frames", "6", "--capture", str(tmp_path / "capture"))
+    assert found.returncode == 0, found.stderr
+    command = [sys.executable, "-m", "gffe_cl", "check", tmp_path / "capture"]
+    told = subprocess.run(command, capture_output=True, text=True)
+    assert told.returncode == 0 and "6 rendered frames, 161×91" in told.stdout, told.stdout + told.stderr
+    assert "fault" not in told.stdout and "warning" not in told.stdout, told.stdout
+
+
 def test_faults_are_one_line(program, tmp_path):
     for words in (["--platform", "No such"], ["--frames", "no"], ["--size", "0x0"]):
         found = ran(program, tmp_path, *words)

@@ -1,12 +1,14 @@
 // A renderer in Vulkan whose frames gffe extrapolates: 30 rendered frames per second, and one made between each two.
 // Offscreen; prints how good the made frames are, and writes pictures. docs/interop.md explains it.
 //
-//     gffe_vulkan OUT [--frames N] [--size WxH] [--platform PART] [--copied | --compare]
+//     gffe_vulkan OUT [--frames N] [--size WxH] [--platform PART] [--capture FOLDER] [--copied | --compare]
 //
-// --copied: copies even where memory could be shared; --compare: both ways, whose bits must be the same.
+// --capture: also writes the rendered frames to FOLDER, for `gffe check FOLDER`, which names wrong motion, depth and
+// cameras; --copied: copies even where memory could be shared; --compare: both ways, whose bits must be the same.
 #include <cmath>
 #include <cstdio>
 #include <cstring>
+#include <filesystem>
 #include <fstream>
 #include <memory>
 #include <stdexcept>
@@ -16,8 +18,10 @@
 
 namespace {
 
+constexpr int RATE = 30;  // rendered frames per second
+
 struct Wanted {
-    std::string out, platform;
+    std::string out, platform, capture;
     int frames = 12, width = 640, height = 360;
     bool is_copied = false, is_compared = false;
 };
@@ -54,8 +58,41 @@ void write_picture(const std::string &path, const std::vector<uint16_t> &color, 
     if (!file) throw std::runtime_error(path + ": cannot be written");
 }
 
+// ---- a capture: a folder of NPY files that all commands of gffe read (docs/formats.md, "A folder of images") ----
+
+void write_npy(const std::string &path, const Buffer &buffer, const char *type, int channels, const Wanted &wanted) {
+    char about[118];  // with the 10 bytes before it 128
+    std::snprintf(about, sizeof about, "{'descr': '%s', 'fortran_order': False, 'shape': (%d, %d, %d)}", type,
+                  wanted.height, wanted.width, channels);
+    std::string header(about);
+    header.resize(sizeof about - 1, ' ');
+    std::ofstream file(path, std::ios::binary);
+    file.write("\x93NUMPY\x01\x00\x76\x00", 10) << header << '\n';
+    file.write(static_cast<const char *>(buffer.mapped), static_cast<std::streamsize>(buffer.size));
+    if (!file) throw std::runtime_error(path + ": cannot be written");
+}
+
+void write_capture(int frame, const Planes &planes, const gffe_camera &camera, const Wanted &wanted) {
+    std::filesystem::create_directories(wanted.capture);
+    const std::string start = wanted.capture + "/" + std::to_string(frame);
+    write_npy(start + "_color.npy", planes[0], "<f2", 4, wanted);
+    write_npy(start + "_depth.npy", planes[1], "<f4", 1, wanted);
+    write_npy(start + "_motion.npy", planes[2], "<f4", 2, wanted);
+    std::ofstream file(start + "_camera.json");
+    file.precision(17);
+    for (int k = 0; k < 16; ++k) file << (k ? ", " : "{\"view\": [") << camera.world_to_view[k / 4][k % 4];
+    file << "], \"fx\": " << camera.fx << ", \"fy\": " << camera.fy << ", \"cx\": " << camera.cx
+         << ", \"cy\": " << camera.cy << "}\n";
+    std::ofstream(wanted.capture + "/sequence.json")
+        << R"({"format": "gffe-folder", "version": 1, "fps": )" << RATE << R"(, "width": )" << wanted.width
+        << R"(, "height": )" << wanted.height << R"(, "frames": {"first": 0, "count": )" << frame + 1 << R"(},
+ "color": {"file": "%d_color.npy"}, "depth": {"file": "%d_depth.npy"}, "motion": {"file": "%d_motion.npy"},
+ "camera": {"layout": "row-major", "file": "%d_camera.json"}}
+)";
+}
+
 Found run(const Wanted &wanted, bool is_copied) {
-    constexpr double INTERVAL = 1.0 / 30;
+    constexpr double INTERVAL = 1.0 / RATE;
     auto generator = std::make_unique<Generator>(wanted.platform);
     Renderer renderer(static_cast<uint32_t>(wanted.width), static_cast<uint32_t>(wanted.height), generator->uuid());
     const bool is_shared = renderer.can_share() && !is_copied;
@@ -85,7 +122,8 @@ Found run(const Wanted &wanted, bool is_copied) {
         found.made.push_back(renderer.show(shown));
         waits += renderer.waits() + generator->waits() - before;
 
-        renderer.render(now, now, truth);  // only to measure
+        renderer.render(now, now - INTERVAL, truth);  // only to measure, and for the capture
+        if (!wanted.capture.empty()) write_capture(k, truth, renderer.camera(now), wanted);
         const auto rendered = renderer.show(truth[0]);
         renderer.render(next, next, truth);
         const auto expected = renderer.show(truth[0]);
@@ -122,6 +160,8 @@ Wanted parsed(int count, char **arguments) {
             wanted.is_compared = true;
         else if (word == "--platform")
             wanted.platform = value, ++k;
+        else if (word == "--capture" && *value)
+            wanted.capture = value, ++k;
         else if (word == "--frames" && std::sscanf(value, "%d", &wanted.frames) == 1 && wanted.frames > 2)
             ++k;
         else if (word == "--size" && std::sscanf(value, "%dx%d", &wanted.width, &wanted.height) == 2)
@@ -133,7 +173,8 @@ Wanted parsed(int count, char **arguments) {
     }
     if (wanted.out.empty() || wanted.width < 1 || wanted.height < 1)
         throw std::runtime_error(
-            "usage: gffe_vulkan OUT [--frames N] [--size WxH] [--platform PART] [--copied | --compare]");
+            "usage: gffe_vulkan OUT [--frames N] [--size WxH] [--platform PART] [--capture FOLDER] "
+            "[--copied | --compare]");
     return wanted;
 }
 

@@ -134,8 +134,8 @@ class Pacer:
         self._is_new = True
 
     def plan(self, now: float) -> Plan:
-        """Return the frame to show at the next refresh for which one can be ready. Raises GffeError before the first
-        rendered frame."""
+        """Return the frame to show at the next refresh for which one can be ready. Refreshes of a steady display are
+        counted from the first plan's `now`, seconds. Raises GffeError before the first rendered frame."""
         now = self._advanced(now)
         if not self._times:
             raise GffeError("pacer: nothing to show (expected a rendered frame first)")

@@ -236,8 +236,9 @@ gffe_status gffe_pacer_start(gffe_pacer *pacer, double display_rate, double most
    a time that is not after the last one is GFFE_INVALID. */
 gffe_status gffe_pacer_rendered(gffe_pacer *pacer, double time, int reset);
 
-/* Plans the frame for the next refresh for which one can be ready. `now`, seconds of a clock that only goes forward: a
-   time before the last call's is GFFE_INVALID, and so is a plan before the first rendered frame. */
+/* Plans the frame for the next refresh for which one can be ready. `now`, seconds of a clock that only goes forward,
+   which may be another than the renderer's: a time before the last call's is GFFE_INVALID, and so is a plan before the
+   first rendered frame. Refreshes of a steady display are counted from the first plan's `now`. */
 gffe_status gffe_pacer_plan(gffe_pacer *pacer, double now, gffe_paced *plan);
 
 /* Notes that the frame planned last is ready: made and passed to the display. */
