@@ -238,7 +238,7 @@ def test_every_layer_equals_a_plain_run(device):
         assert source.asked == [0, 1, 2, 3, 4, 5]
         milliseconds = result.milliseconds
         assert set(milliseconds) == {
-            *("scene_cuts", "history", "connectivity", "prediction", "backward_blocks", "color_code", "warp"),
+            *("scene_cuts", "history", "sharpness", "connectivity", "prediction", "backward_blocks", "color_code", "warp"),
             *("hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
         }  # fmt: skip
         # History tracking counts the samples of a cut, and encodes while the camera moves.
@@ -379,6 +379,7 @@ def test_options_change_what_they_should(device):
         "crack_closing": (False, {"final", "frame.filled_by", "frame.disoccluded"}, upto_submit),
         "hole_filling": ("downsample", {"final", "frame.color", "frame.depth"}, upto_submit | {"frame.filled_by"}),
         "motion": (False, {"final", "history.dynamic_mask", "prediction.target_position"}, {"rendered.depth"}),
+        "sharpness": (False, {"final", "frame.color"}, upto_submit | {"frame.depth", "frame.filled_by"}),
         "static_threshold": (40.0, {"history.dynamic_mask", "frame.dynamic"}, {"rendered.motion"}),
         "history": (4, set(), upto_submit | {"final"}),
         "acceleration": (False, {"prediction.target_position"}, upto_submit),
@@ -946,11 +947,14 @@ def place_of(which, local, k):
 
 
 def test_stories_of_the_dilated_warp(device):
-    setup = Setup(Options.preset("performance"))
+    """Pixels between those of the rendered frame tell its sharpness, if it is measured."""
     with running(device, Clip()) as engine:
-        for hole, said in ((0, "nearest of 3×3 pixels"), (1, "nearest surface beside it")):
-            for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
-                assert story.sentences[0].startswith("It comes from (") and said in story.sentences[-1]
+        for sharpness in (True, False):
+            setup = Setup(Options.preset("performance", sharpness=sharpness))
+            for hole, said in ((0, "nearest of 3×3 pixels"), (1, "nearest surface beside it")):
+                for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
+                    assert story.sentences[0].startswith("It comes from (") and said in story.sentences[hole]
+                    assert ("a sharpness of" in story.sentences[-1]) == sharpness
 
 
 @pytest.mark.parametrize("windowed", [False, True])
