@@ -33,7 +33,11 @@ CASES = {
     "downsample-smaller": (Options(hole_filling="downsample", blocks=False, acceleration=False), *_SMALLER),
     "literal": (
         Options(
-            crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample", resampling="linear",
+            crack_closing=False,
+            static_threshold=0.7,
+            levels=0,
+            hole_filling="downsample",
+            resampling="linear",
             sharpness=False,
         ),
         *_SAME,

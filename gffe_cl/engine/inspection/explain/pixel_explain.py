@@ -112,9 +112,7 @@ def _with_sharpness(story: Story, pipeline: Pipeline, values: dict[str, np.ndarr
     number, px = int(values[names.FILLED_BY][0]), story.source
     if Sharpness.name not in pipeline.stages or not px or all(abs(c % 1 - 0.5) < 0.01 for c in px):
         return story
-    if pipeline.options.warps_footprints and (
-        number not in (BY_WARP, BY_CRACK_CLOSING) or values[names.MIXED][0]
-    ):
+    if pipeline.options.warps_footprints and (number not in (BY_WARP, BY_CRACK_CLOSING) or values[names.MIXED][0]):
         return story
     measured = float(pipeline.stages[Sharpness.name].read("sharpness").item())
     said = f"Interpolated between pixels: a sharpness of {measured:.2f} was measured on rendered frames."
