@@ -47,6 +47,7 @@ nitpick_ignore = [
     for name in (
         "engine.frame.rendered_frame.HostArrays",
         "engine.opencl.device.Opened",
+        "engine.opencl.sharing.SharedSemaphore",
         "captures.sequence.description.Description",
         "captures.sequence.pixel_source.Pixels",
         "engine.stages.buffers.BufferSpec",

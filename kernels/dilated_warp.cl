@@ -12,6 +12,7 @@
 #include "flow.h"
 #include "dilation.h"
 
+/* What set the threshold: docs/deviations.md, "The dilated warp". */
 #define GONE 2.0f /* px: a mover that is shown so far from a pixel is not shown there */
 
 /* How far LANES pixels, whose indices are `here`, lie from the pixels `nearest` among the 3x3 around them. */

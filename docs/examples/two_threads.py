@@ -69,8 +69,9 @@ def show(make_pipeline, display, shared, clock, pacer, stepper=None):
         if not plan.held:
             image = display.make(pipeline, plan, size)
         pacer.ready(clock.now())
-        if stepper and not plan.held and stepper.took(1e3 * (clock.now() - begun)):
-            pipeline.change_options(stepper.options)  # frames are kept
+        steps = stepper and not plan.held and stepper.took(1e3 * (clock.now() - begun))
+        if steps and pipeline.keeps_frames(stepper.options):  # false after the viewer switched a module
+            pipeline.change_options(stepper.options)
         clock.wait_until(plan.refresh)
         display.show(image, plan)
 

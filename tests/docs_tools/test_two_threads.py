@@ -75,3 +75,19 @@ def test_a_thread_that_fails_ends_the_other(device, monkeypatch):
     monkeypatch.setattr(two_threads.SimulatedRenderer, "frame", fails)
     with pytest.raises(RuntimeError, match="device lost"):
         two_threads.simulate(two_threads.Events(1), device=device)
+
+
+def test_a_module_switched_by_the_viewer_does_not_end_the_program(device, monkeypatch):
+    """Options that do not keep frames are not used, so there is always something to extrapolate from."""
+    submit = two_threads.SimulatedPipeline.submit
+
+    def submitted(pipeline, frame):
+        if frame.time > 1 and pipeline.options.motion:  # as an attached viewer does, between two rendered frames
+            pipeline.change_options(pipeline.options.changed("motion", False))
+        submit(pipeline, frame)
+
+    monkeypatch.setattr(two_threads.SimulatedPipeline, "submit", submitted)
+    stepper = two_threads.gffe.Stepper(15, two_threads.OPTIONS)
+    events = two_threads.Events(4, making=0.009, loads=((2, 1.0),))
+    found, _ = two_threads.simulate(events, rate=15, device=device, stepper=stepper)
+    assert found["shown"] > 150

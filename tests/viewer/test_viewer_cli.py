@@ -279,6 +279,8 @@ WRONG_SCRIPTS = {
     "pixel a,b": "expected a number",
     "pixel 1.5,2": "pixel must be 2 whole numbers, 0 or more, as 12,34, got '1.5,2'",
     "rectangle 5,1,5,5": "with LEFT < RIGHT",
+    "plane 0": "plane must be a whole number from 1, got '0'",
+    "from nowhere": "nowhere: no such file or folder",
     "split 2": "split must be 0 to 1",
     "split nan": "expected a number",
     "steer 1,2": "expected steer RIGHT,UP,FORWARD,YAW,PITCH",
@@ -338,6 +340,11 @@ def test_steps_are_checked_against_the_sequence(tmp_path, unopened_app):
         (flight,) = checked("steer 0,0,1,20,0")
         with pytest.raises(GffeError, match="the camera does not fly"):
             perform(app, flight.command, flight.value)
+        plane, other = checked(f"plane 2\nfrom {tmp_path / 'in'}")
+        with pytest.raises(GffeError, match="plane must be 1 to 1, which 'final' has, got 2"):
+            perform(app, plane.command, plane.value)
+        perform(app, other.command, other.value)
+        assert session.model.kept.b.place == str(tmp_path / "in") and session.model.comparison.by_settings
     finally:
         session.model.close()
 

@@ -1074,6 +1074,7 @@ def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene
             if movers.links[0].pixel is not None:
                 x, y = movers.links[0].pixel
                 assert images["frame.dynamic"][y, x] and f"({x}, {y})" in movers
+                assert "nothing refuses it" not in movers and " or " not in movers
             if "took the mean of those" not in taken:
                 continue
             (x, y), beside = story.pixel, [link.pixel for link in taken.links]
@@ -1098,6 +1099,8 @@ def test_stories_of_hidden_parts(device):
         assert all(s.filled_by == "hidden part of a mover" and "with its motion" in s.sentences[0] for s in told)
         bars = [float(s.sentences[1].split("shows depth ")[1].split(" ")[0]) for s in told]
         assert max(bars) < 6 and all("depth here is" in s.sentences[1] for s in told)
+        left = stories(engine, Setup(Options(levels=0)), 9, lambda i: i["frame.filled_by"] == 255, 60)
+        assert any("But the frame before shows depth 1" in said for s in left for said in s.sentences)
 
 
 def test_stories_of_movers_that_enter(device):
@@ -1128,7 +1131,7 @@ def test_stories_of_parts_that_reappear(device):
 
 
 def test_stories_of_corrected_pixels(device, tmp_path):
-    options = Options(scn_model=movers_model(tmp_path / "m.onnx"))
+    options = Options(scn_model=movers_model(tmp_path / "m.onnx"), image_flow=False)
     with running(device, FadingClip()) as engine:
         for story in stories(engine, Setup(options), 13, is_mover):
             assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]

@@ -306,6 +306,15 @@ def test_worst_pixels_are_apart_and_in_order():
     assert [worst.rank for worst in found] == [1, 2, 3]
     expected = np.abs(to_display(shown[..., :3], 1.0) - to_display(true[..., :3], 1.0)).mean(-1)[30, 50]
     assert found[0].error == pytest.approx(expected)
+    assert found[1].text.endswith(" at (5, 6): number 2 of the frame")
+    spec = LayerSpec("l", "L", "stage", "label", labels=((0, "static"), (5, "mover")))
+    label, other = np.zeros((2, 40, 60), np.uint8)
+    other[3, 4], label[20, 30] = 5, 1
+    texts = [worst.text for worst in worst_pixels(spec, label, other, (60, 40), 1.0)]
+    assert texts[0] == "A 0: static, B 5: mover at (4, 3): number 1 of the frame" and "A 1, B 0: static" in texts[1]
+    spec, (first, second) = LayerSpec("p", "P", "stage", "scalar", planes=2), np.zeros((2, 2, 8, 8), np.float32)
+    second[1, 6, 7] = 2.0
+    assert [len(worst_pixels(spec, first, second, (8, 8), 1.0, plane)) for plane in (0, 1)] == [0, 1]
     depth = np.full((20, 30), 3.0, np.float32)
     other = depth.copy()
     depth[0, 0] = other[0, 0] = np.inf

@@ -22,12 +22,17 @@ from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.viewer.automation.steps import read_place
+from gffe_cl.viewer.engine.figures import REGIONS
+from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
+from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.actions import IMGUI_KEYS, Action, Actions, parse_shortcut
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
 from gffe_cl.viewer.state.settings import Settings, default_path
 from gffe_cl.viewer.state.timings import Timings
+from gffe_cl.viewer.state.viewport import Framing
 from gffe_cl.viewer.window import keys
+from gffe_cl.viewer.window.ablation import with_room
 from gffe_cl.viewer.window.picture import short
 from gffe_cl.viewer.window.plot import scale_of
 
@@ -901,7 +906,7 @@ def test_numbers_in_pixels_have_room(value, letters, written):
 
 def test_frames_are_written_as_slots_or_as_parts_of_the_way():
     playback = Playback(count=6, n=3)
-    written = {"0": 0, "23": 23, "4+1/4": 17, "4 + 1/2": 18, "4+3/4": 19, "4+2/8": 17}
+    written = {"0": 0, "23": 23, "4+1/4": 17, "4 + 1/2": 18, "4+3/4": 19, "4+2/8": 17, "4+0": 16}
     assert {text: read_place(text, "--frame").slot(playback, "--frame") for text in written} == written
     for text, message in (("24", r"--frame must be 0 to 23 \(0 to 5\+3/4\), got 24"), ("6+1/4", "got 6"),
                           ("4+1/3", r"4\+1/3: generated frames are at 4\+1/4")):  # fmt: skip
@@ -910,6 +915,20 @@ def test_frames_are_written_as_slots_or_as_parts_of_the_way():
     for text in ("4+", "-1", "1.5", "4+1", "4+0/2", "4+2/2", "4+1/0", "", "x", "٣"):
         with pytest.raises(GffeError, match=r"generated ones counted \(9\)"):
             read_place(text, "--frame")
+
+
+def test_zooming_in_goes_to_the_picked_pixel_if_it_is_seen():
+    view = View("final", Display(), zoom=2.0, center=(50.0, 50.0))
+    for picked, center in (((60, 40), (60.5, 40.5)), ((20, 40), (60.5, 40.5)), (None, (60.5, 40.5))):
+        Framing(view).zoom_in((100, 100), picked)
+        assert view.center == center
+    assert view.zoom == 16.0
+
+
+def test_an_ablation_keeps_the_movers_where_there_is_little_room():
+    assert with_room(list(REGIONS), 1) == ["dynamic"]
+    assert with_room(list(REGIONS), 3) == ["out of screen", "disoccluded", "dynamic"]
+    assert with_room(["rest", "focus"], 1) == ["focus"] and with_room(list(REGIONS), 9) == list(REGIONS)
 
 
 def test_a_chord_whose_modifier_is_let_go_in_the_frame_of_its_key():

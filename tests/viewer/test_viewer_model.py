@@ -576,7 +576,7 @@ def test_the_worst_pixel_is_looked_at_and_then_the_next_one(session):
         model.worst.due = True
         session.settle()
         picked.append(model.pointing.picked)
-        assert f"number {len(picked)} of the slot" in model.messages[-1].text
+        assert f"number {len(picked)} of the frame" in model.messages[-1].text
     assert len(set(picked)) == len(picked)
     model.show_layer("final")
     model.comparison.with_layer("truth")
@@ -613,6 +613,10 @@ def test_saved_pictures_name_frame_layers_and_settings(session):
     model.comparison.with_layer("truth")
     assert titles()[1:3] == ["A  frame: Final   defaults", "B  frame: Ground truth"]
     assert model.captions.legends()[0].legend.unit == "of display values"
+    for overlay, region, said in (("regions", -1, "tinted by regions"), ("regions", 1, "dimmed outside the region")):
+        model.view.overlay, model.view.region = overlay, region
+        assert model.captions.legends()[0].legend.unit == f"of display values, {said}"
+    model.view.overlay = "none"
     model.comparison.set("flip error")
     assert model.captions.legends()[0].legend.unit.startswith("FLIP")
     model.settings.legends = False

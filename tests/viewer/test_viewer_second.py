@@ -2,6 +2,7 @@
 
 import shutil
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -11,12 +12,16 @@ from viewer_session import Canvas, Session
 from gffe_cl.captures.offline.run import run_sequence
 from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.inspection import names
+from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
 from gffe_cl.viewer.engine.figures import Figures
+from gffe_cl.viewer.picture.displays import FrameInfo
 from gffe_cl.viewer.state.presets import command_line
-from gffe_cl.viewer.state.studies import modules_of
+from gffe_cl.viewer.state.studies import difference, modules_of
+from gffe_cl.viewer.window.differing import show
 
 
 class WideCanvas(Canvas):
@@ -169,6 +174,7 @@ def test_the_first_layer_that_differs_is_of_the_stage_that_was_changed(session):
     model.sides.keep()
     session.settle()
     assert studied(session, model.studies.differing).first is None, "equal settings"
+    assert model.studies.differing.text == f"all {len(model.studies.differing.all)} layers are equal"
     assert len(model.studies.differing.all) > 30
     model.set("static_threshold", 20.0)
     session.settle()
@@ -244,6 +250,10 @@ def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
     session.settle()
     assert (session.canvas.layers["B:final"] != model.contents.image("final")).any()
     assert studied(session, model.studies.differing).first.spec.group == "history"
+    assert " not in B" in model.studies.differing.text
+    lacking = next(one for one in model.studies.differing.all if not one.common)
+    assert not lacking.differs and lacking.remark == "not in B"
+    assert "not stored with B" in model.contents.why_absent(names.of_second(lacking.spec.name))
     run_sequence(Recorded(source, device), tmp_path / "again", device, replace(options, motion=True), [0.5])
     shutil.rmtree(tmp_path / "out")
     (tmp_path / "again").rename(tmp_path / "out")
@@ -267,3 +277,36 @@ def test_b_is_other_kernels_in_a_folder(session, tmp_path):
     path.unlink()
     model.sides.take_b_from(str(path.parent))
     assert model.messages[-1].error and "holes.cl" in model.messages[-1].text
+
+
+def test_b_is_another_sequence_with_its_rendered_frames(session, tmp_path):
+    model = session.model
+    model.sides.take_b_from(str(tmp_path / "first"))
+    model.playback.seek(2)
+    session.settle()
+    differing = studied(session, model.studies.differing)
+    found = {one.spec.name: one for one in differing.all}
+    rendered = [found[name] for name in (names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION)]
+    assert [(one.common, one.pixels) for one in rendered] == [(True, 0)] * 3
+
+
+def test_a_layer_differs_in_a_plane_that_is_named():
+    spec = LayerSpec("history.history", "History", "history", "world", ("x", "y", "z", "known"), planes=3)
+    a, b = (np.zeros((3, 4, 8, 4), np.float32) for _ in "AB")
+    b[1, 2, 5, 0], b[2, 0, 1, 2], b[2, 3, 6, 1] = 1.0, np.nan, -4.0
+    info, frames = FrameInfo((16, 8)), [SimpleNamespace(images={spec.name: image}) for image in (a, b)]
+    found = difference(spec, *frames, info)
+    assert (found.pixels, found.largest, found.label) == (3, 4.0, "History, planes 2, 3")
+    b[2, 0, 1, 2] = 0.0
+    found = difference(spec, *frames, info)
+    assert found.planes == (2, 1) and found.worst == (13, 7)
+    looks, shown = [], []
+    model = SimpleNamespace(
+        looks=SimpleNamespace(choose_plane=lambda *given: looks.append(given)), show_layer=shown.append,
+        comparison=SimpleNamespace(with_settings=lambda: None, set=shown.append),
+    )  # fmt: skip
+    show(model, found)
+    assert shown == [spec.name, "difference"] and looks == [(spec.name, 2)]
+    frames[1].images.clear()
+    only = difference(spec, *frames, info)
+    assert only.remark == "not in B" and not only.differs

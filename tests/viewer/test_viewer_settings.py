@@ -109,7 +109,7 @@ def test_kept_settings_are_saved_and_found_again():
     foreign = [settings.keep(Setup(Options()), build, Path("/x/edited")) for build in ("34cd", "56ef")]
     stored = [settings.keep_stored(place, Options()) for place in ("/x/out", "/y/out", "/x/out")]
     names = [kept.name for kept in (*foreign, *stored[1:])]
-    assert names == ["defaults, kernels of edited", "defaults, kernels of edited (2)", "out (2)", "out"]
+    assert names == ["defaults, kernels of x/edited", "defaults, kernels of x/edited (2)", "y/out", "x/out"]
     assert len(settings.preferences()) == 2 and len(settings.all) == 6, "neither is there after a restart"
 
 

@@ -146,14 +146,16 @@ FIRST = Place("0", 0)
 
 
 def read_place(text: str, name: str) -> Place:
-    """Return the place written as "9", the number of a slot, or "4+1/2". Raises GffeError, beginning with `name`."""
-    found = re.fullmatch(r"(\d+)(?:\s*\+\s*(\d+)/(\d+))?", text.strip(), re.ASCII)
+    """Return the place written as "9", the number of a slot, "4+1/2", or "4+0", a rendered frame. Raises GffeError,
+    beginning with `name`."""
+    found = re.fullmatch(r"(\d+)(?:\s*\+\s*(?:0|(\d+)/(\d+)))?", text.strip(), re.ASCII)
     if found is None or (found[3] and not 0 < int(found[2]) < int(found[3])):
         raise GffeError(
             f"{name} must be a frame's number on the timeline, generated ones counted (9), or a rendered frame's and a"
-            f" part of the way to the next (4+1/2), got '{text}'"
+            f" part of the way to the next (4+1/2; 4+0: itself), got '{text}'"
         )
-    return Place(text, int(found[1]), Fraction(int(found[2]), int(found[3])) if found[3] else None)
+    part = Fraction(int(found[2]), int(found[3])) if found[3] else Fraction(0)
+    return Place(text, int(found[1]), part if "+" in text else None)
 
 
 def _seek(app: App, place: Place) -> None:
@@ -196,6 +198,31 @@ def _layer(app: App, name: str) -> None:
 
 def _with(app: App, name: str) -> None:
     app.model.comparison.with_layer(found_layer(app.model, name))
+
+
+def _existing(text: str, _app: App) -> str:
+    if not Path(text).expanduser().exists():
+        raise GffeError(f"{text}: no such file or folder")
+    return text
+
+
+def _not_followed(app: App, _place: str) -> None:
+    if app.model.follows:
+        raise GffeError("from: freeze the running program first")
+
+
+def _plane(text: str, _app: App) -> int:
+    if not re.fullmatch(r"[1-9][0-9]?", text):
+        raise GffeError(f"plane must be a whole number from 1, got '{text}'")
+    return int(text)
+
+
+def _show_plane(app: App, plane: int) -> None:
+    spec = app.model.contents.spec(app.model.view.a)
+    if spec is None or plane > spec.planes:
+        planes = 1 if spec is None else spec.planes
+        raise GffeError(f"plane must be 1 to {planes}, which '{app.model.view.a}' has, got {plane}")
+    app.model.looks.choose_plane(spec.name, plane - 1)
 
 
 def _way(text: str, _app: App) -> str:
@@ -380,10 +407,15 @@ def _text(text: str, _app: App) -> str:
 
 COMMANDS: dict[str, Command] = {
     "seek": Command(
-        "seek FRAME: its number on the timeline, generated ones counted, as 9, or as 4+1/2",
+        "seek FRAME: its number on the timeline, generated ones counted, as 9, or as 4+1/2 (4+0: rendered frame 4)",
         lambda text, app: read_place(text, "seek"), _seek, lambda app, place: place.slot(app.model.playback, "seek"),
     ),
     "layer": Command("layer NAME: the displayed layer", _text, _layer, _layer_fits),
+    "plane": Command("plane N: of the displayed layer, from 1", _plane, _show_plane),
+    "from": Command(
+        "from FOLDER: B is another sequence, an output of gffe run or kernels, or a file of figures", _existing,
+        lambda app, place: app.model.sides.load_b(place), _not_followed, lasting=True,
+    ),
     "with": Command("with NAME: the layer to compare with", _text, _with, _layer_fits),
     "compare": Command("compare WAY: off, split, difference, error or flip error", _way, _compare),
     "split": Command(

@@ -103,6 +103,14 @@ class Contents:
             return "this sequence has no ground truth"
         return None
 
+    def why_absent(self, name: str) -> str | None:
+        """Return why the present settings, or B's, have no layer of this name; None if they have it."""
+        if self.spec(name) is not None:
+            return None
+        if names.is_second(name) and self.second is not None and self.second.setup.place:
+            return "not stored with B (gffe run --dump-stages stores all layers)"
+        return "not made with B's options" if names.is_second(name) else "not made with these options"
+
     def showable(self) -> list[LayerSpec]:
         return [spec for spec in self.layers if self.why_not(spec.name) is None]
 

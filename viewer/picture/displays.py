@@ -116,6 +116,13 @@ class FrameInfo:
         """Return whether a layer shows ground truth, on which invalid pixels of the input have no effect."""
         return self.generated and spec.name in (names.TRUTH, names.FOCUS_TRUTH)
 
+    def pixel_of(self, spec: LayerSpec, place: tuple[float, float]) -> tuple[int, int] | None:
+        """Return the display pixel at `place`, in fractions of a layer's sides; None out of the display."""
+        x0, y0, x1, y1 = self.area(spec)
+        (x, y), (width, height) = place, self.display_size
+        at = math.floor((x - x0) / (x1 - x0) * width), math.floor((y - y0) / (y1 - y0) * height)
+        return at if 0 <= at[0] < width and 0 <= at[1] < height else None
+
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         """Return the part of a layer that covers the display, in fractions of its sides. Where texels cover several
         pixels, the last ones may reach beyond the image."""

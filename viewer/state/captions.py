@@ -87,21 +87,40 @@ def disocclusion_colors() -> tuple[tuple[str, Rgb], ...]:
 
 
 def entries_of(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
-    """Return legends of the displayed layers; none for colors alone."""
+    """Return legends of the displayed layers; none for colors alone. An overlay that tints them is named beside their
+    units, as its colors are not the bars'."""
+    tinted = _tinted(view)
+    shown = [
+        replace(entry, legend=replace(entry.legend, unit=", ".join(filter(None, (entry.legend.unit, tinted)))))
+        if tinted and entry.legend.kind != "none" else entry
+        for entry in _shown(view, contents, looks, comparison)
+    ]  # fmt: skip
+    return [*shown, *_overlay(view)]
+
+
+def _tinted(view: View) -> str:
+    """Return how an overlay changes the colors of the layer under it; empty if it does not."""
+    if view.overlay == disocclusions.OVERLAY:
+        return "tinted in disocclusions"
+    if view.overlay != "regions":
+        return ""
+    return "tinted by regions" if view.region < 0 else "dimmed outside the region"
+
+
+def _shown(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
     if comparison.flipped:
-        return [*_layer(view.b, contents, looks, "B  "), *_overlay(view)]
+        return _layer(view.b, contents, looks, "B  ")
     if comparison.nothing:
-        return [Entry(comparison.scale_text(), Legend("none")), *_overlay(view)]
+        return [Entry(comparison.scale_text(), Legend("none"))]
     if view.compare in ("error", "flip error"):
         display = comparison.error_display
         shown = replace(legend(flip_map.SPEC, display), unit=_error_unit(view, contents, looks))
-        return [Entry(comparison.scale_text(), shown, display.color_map), *_overlay(view)]
+        return [Entry(comparison.scale_text(), shown, display.color_map)]
     if view.compare == "difference":
-        return [*_difference(view, contents, looks, comparison), *_overlay(view)]
+        return _difference(view, contents, looks, comparison)
     if view.compare == "split" and view.b and names.plain(view.b) != view.a:
-        sides = _layer(view.a, contents, looks, "A  ") + _layer(view.b, contents, looks, "B  ")
-        return [*sides, *_overlay(view)]
-    return [*_layer(view.a, contents, looks), *_overlay(view)]
+        return _layer(view.a, contents, looks, "A  ") + _layer(view.b, contents, looks, "B  ")
+    return _layer(view.a, contents, looks)
 
 
 def _sides(view: View, contents: Contents, looks: Looks) -> tuple[Side, Side] | None:

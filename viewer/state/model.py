@@ -83,7 +83,7 @@ class Model(Opening):
         self.pointing = Pointing(self.store, self.contents)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.selection = Selection(self.contents)
-        self.worst = WorstPixels(self.view, self.contents)
+        self.worst = WorstPixels(self.view, self.contents, self.looks)
         self.sides = Sides(self.engine, self.parameters, self.kept, self.comparison, self.survey, self.say)
         self.captions = Captions(self.contents, self.view, self.looks, self.comparison, self.playback)
         shown, settled = self.comparison.shown, lambda: self.settled
@@ -273,8 +273,7 @@ class Model(Opening):
         found, reason = self.worst.update()
         if found is not None:
             self.walk.go_to_pixel(found.pixel)
-            x, y = found.pixel
-            self.say(f"error {found.error:.4g} at ({x}, {y}): number {found.rank} of the slot")
+            self.say(found.text)
         elif reason:
             self.say(reason)
 

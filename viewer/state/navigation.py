@@ -126,8 +126,8 @@ class Walk:
 
     def why_not(self, link: Link) -> str | None:
         """Return why a link leads nowhere; None if it can be followed."""
-        if link.layer and self._contents.spec(link.layer) is None:
-            return "this layer is not made with these options"
+        if link.layer and (reason := self._contents.why_absent(link.layer)):
+            return f"this layer is {reason}"
         if link.pixel is not None and not all(0 <= c < s for c, s in zip(link.pixel, self._contents.size, strict=True)):
             return "outside of the display"
         return None

@@ -85,14 +85,14 @@ class KeptSettings:
     def keep(self, setup: Setup, kernels: str, folder: Path | None = None) -> Kept:
         """Keep the present settings as B, and return them. `folder`: where the kernels are from, if they are not the
         viewer's own."""
-        stem = told(setup) if folder is None else f"{told(setup)}, kernels of {printable(folder.name)}"
+        stem = told(setup) if folder is None else f"{told(setup)}, kernels of {of_folder(folder)}"
         weights, foreign = weights_of(setup.options), folder is not None
         return self._keep(Kept(stem, setup.options, setup.window, kernels, weights, foreign=foreign))
 
     def keep_stored(self, place: str, options: Options) -> Kept:
         """Make pictures that are stored at `place` B, and return it. `options`: of A."""
         self.all = [kept for kept in self.all if kept.place != place]
-        return self._keep(Kept(printable(Path(place).name), options, None, "", weights_of(options), place))
+        return self._keep(Kept(of_folder(Path(place)), options, None, "", weights_of(options), place))
 
     def _keep(self, made: Kept) -> Kept:
         """Make this B, by an unused name that begins with its own, instead of equal ones, and return it."""
@@ -134,6 +134,11 @@ class KeptSettings:
         while (name := stem if number == 1 else f"{stem} ({number})") in taken:
             number += 1
         return name
+
+
+def of_folder(folder: Path) -> str:
+    """Return a folder's name with its parent's, as many have one name."""
+    return printable("/".join(folder.absolute().parts[1:][-2:]))
 
 
 def told(setup: Setup) -> str:

@@ -32,22 +32,26 @@ class Sides:
         self._say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
 
     def take_b_from(self, place: str) -> None:
-        """Compare with what is stored at `place`: kernels, with A's settings, the pictures of a sequence, or figures of
-        frames."""
-        path, setup = Path(place).expanduser().absolute(), self._parameters.setup
+        """Compare as `load_b` does. Errors give a message."""
         try:
-            if path.is_file():
-                self._survey.baseline = baseline = Baseline.load(path)
-                self._comparison.without_settings()
-                self._say(f"B is the figures of {baseline.name}: Plot, Regions and Compare show them beside A's")
-                return
-            if next(path.glob("*.cl"), None) is not None:
-                kept = self._kept.keep(setup, self._engine.take_kernels(path), path)
-            else:
-                kept = self._kept.keep_stored(str(path), setup.options)
-        except (GffeError, OSError) as error:
+            self.load_b(place)
+        except GffeError as error:
             self._say(str(error), error=True)
+
+    def load_b(self, place: str) -> None:
+        """Compare with what is stored at `place`: kernels, with A's settings, the pictures of a sequence, or figures of
+        frames. Raises GffeError."""
+        path, setup = Path(place).expanduser().absolute(), self._parameters.setup
+        if path.is_file():
+            self._survey.baseline = baseline = Baseline.load(path)
+            self._comparison.without_settings()
+            self._say(f"B is the figures of {baseline.name}: Plot, Regions and Compare show them beside A's")
             return
+        try:
+            kernels = self._engine.take_kernels(path) if next(path.glob("*.cl"), None) is not None else ""
+        except OSError as error:
+            raise GffeError(f"{path}: {error.strerror or error}") from None
+        kept = self._kept.keep(setup, kernels, path) if kernels else self._kept.keep_stored(str(path), setup.options)
         self._comparison.with_settings(kept.name)
         self._comparison.show()
 

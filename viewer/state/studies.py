@@ -204,17 +204,28 @@ class Studies:
 @dataclass(frozen=True)
 class Difference:
     """Difference between a layer of A and of B. `pixels` of `of` differ, at most by `largest` (NaN where no numbers can
-    be subtracted); `remark`: why they cannot be compared, if so."""
+    be subtracted); `planes`: of several the ones that differ, from 0, that with the largest difference first; `worst`:
+    the display pixel with that, if it is on the display; `remark`: why they cannot be compared, if so; `common`: both
+    have it."""
 
     spec: LayerSpec
     pixels: int
     of: int
     largest: float
     remark: str = ""
+    common: bool = True
+    planes: tuple[int, ...] = ()
+    worst: tuple[int, int] | None = None
 
     @property
     def differs(self) -> bool:
-        return bool(self.pixels or self.remark)
+        return self.common and bool(self.pixels or self.remark)
+
+    @property
+    def label(self) -> str:
+        """The layer's label, with the planes that differ."""
+        listed = ", ".join(str(plane + 1) for plane in sorted(self.planes))
+        return f"{self.spec.label}, plane{'s' * (len(self.planes) > 1)} {listed}" if self.planes else self.spec.label
 
 
 class Differing(Study):
@@ -237,7 +248,7 @@ class Differing(Study):
     def find(self, here: Here, name: Any, *frames: Frame) -> list[Difference]:
         a, b = frames
         specs = [spec for spec in _by_stage(here.layers) if _stage_of(spec) == name]
-        return [made for spec in specs if (made := difference(spec, a, b)) is not None]
+        return [made for spec in specs if (made := difference(spec, a, b, here.info(a))) is not None]
 
     @property
     def all(self) -> list[Difference]:
@@ -245,8 +256,17 @@ class Differing(Study):
         return [one for made in self.found.values() if isinstance(made, list) for one in made]
 
     @property
+    def text(self) -> str:
+        """The number of layers that differ, of those that both have, and of those that only one has."""
+        differing, lacking = sum(one.differs for one in self.all), [one.remark for one in self.all if not one.common]
+        common = len(self.all) - len(lacking)
+        found = f"{differing} of {common} layers differ" if differing or self.busy else f"all {common} layers are equal"
+        return ", ".join([found, *(f"{lacking.count(remark)} {remark}" for remark in dict.fromkeys(lacking))])
+
+    @property
     def first(self) -> Difference | None:
-        """The first layer whose pixels differ, else the first that only one side has; None if there is none so far."""
+        """The first layer that both have and whose pixels differ, else the first of another size; None if there is none
+        so far."""
         differing = [one for one in self.all if one.differs]
         return next((one for one in differing if one.pixels), differing[0] if differing else None)
 
@@ -265,26 +285,36 @@ def _by_stage(layers: tuple[LayerSpec, ...]) -> list[LayerSpec]:
     return sorted(own, key=lambda spec: (ranks.get(_stage_of(spec), 1), spec.name == names.FINAL))
 
 
-def difference(spec: LayerSpec, a: Frame, b: Frame) -> Difference | None:
-    """Return how a layer differs between two frames; None if neither has it."""
+def difference(spec: LayerSpec, a: Frame, b: Frame, info: FrameInfo) -> Difference | None:
+    """Return how a layer differs between two frames; None if neither has it. `info`: of A."""
     first, second = a.images.get(spec.name), b.images.get(spec.name)
     if first is None and second is None:
         return None
     if first is None or second is None:
-        return Difference(spec, 0, 0, float("nan"), f"only {'B' if first is None else 'A'}")
+        return Difference(spec, 0, 0, float("nan"), f"not in {'A' if first is None else 'B'}", common=False)
     if first.shape != second.shape:
         return Difference(spec, 0, 0, float("nan"), "other size")
-    numbers = first.dtype.kind == "f"
-    differs = (first != second) & ~((first != first) & (second != second)) if numbers else first != second
-    channels = differs.ndim - 2 - (spec.planes > 1)
-    pixels = differs.any(-1) if channels else differs
-    pixels = pixels.any(0) if spec.planes > 1 else pixels
-    if spec.view == "label" or not differs.any():
-        return Difference(spec, int(np.count_nonzero(pixels)), pixels.size, 0.0 if not differs.any() else float("nan"))
+    height, width = first.shape[1:3] if spec.planes > 1 else first.shape[:2]
+    first, second = (image.reshape(spec.planes, height, width, -1) for image in (first, second))
+    differs = first != second
+    if first.dtype.kind == "f":
+        differs &= (first == first) | (second == second)
+    by_plane = differs.any(-1)
+    pixels = int(np.count_nonzero(by_plane.any(0)))
+    if not pixels:
+        return Difference(spec, 0, height * width, 0.0)
+    apart = np.zeros(differs.shape)
     with np.errstate(invalid="ignore", over="ignore"):
-        by = np.abs(first[differs].astype(np.float64) - second[differs].astype(np.float64))
-    by = by[~np.isnan(by)]
-    return Difference(spec, int(np.count_nonzero(pixels)), pixels.size, float(by.max()) if by.size else float("nan"))
+        apart[differs] = np.abs(first[differs].astype(np.float64) - second[differs].astype(np.float64))
+    known = apart[~np.isnan(apart)]
+    largest = float(known.max()) if spec.view != "label" and known.any() else float("nan")
+    apart = np.where(differs, 1.0 if spec.view == "label" else np.nan_to_num(apart, nan=np.inf), 0.0).max(-1)
+    plane, y, x = map(int, np.unravel_index(apart.argmax(), apart.shape))
+    planes = [plane, *(other for other in np.flatnonzero(by_plane.any((1, 2))).tolist() if other != plane)]
+    worst = info.pixel_of(spec, ((x + 0.5) / width, (y + 0.5) / height))
+    return Difference(
+        spec, pixels, height * width, largest, planes=tuple(planes) if spec.planes > 1 else (), worst=worst
+    )
 
 
 # ---- what modules gain -----------------------------------------------------------------------------------------

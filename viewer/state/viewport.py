@@ -39,6 +39,14 @@ class Framing:
     def zoom(self, factor: float) -> None:
         self._view.zoom = min(max(self._view.zoom * factor, _LEAST), _MOST)
 
+    def zoom_in(self, size: Size, pixel: Pixel | None) -> None:
+        """Zoom in at `pixel` if it is seen on a canvas of `size`, else at the center."""
+        if pixel is not None:
+            at = pixel[0] + 0.5, pixel[1] + 0.5
+            if all(0 <= c < s for c, s in zip(self._view.screen_at(size, *at), size, strict=True)):
+                self._view.center = at
+        self.zoom(2.0)
+
 
 class Pointing:
     """Values at single pixels of the picture.

@@ -14,6 +14,7 @@ from . import widgets
 from .interface import Interface
 
 _SHORT = {"out of screen": "out", "disoccluded": "hole", "silhouettes": "edge", "dynamic": "mover"}  # headings
+_FIRST = ("dynamic", "disoccluded", "out of screen", "silhouettes", "focus", "rest")  # to keep where room is little
 _LEAST = 0.005  # dB: less is written as nothing
 
 
@@ -35,7 +36,7 @@ def _table(model: Model) -> None:
     room = imgui.get_content_region_avail().x - min(names, hello_imgui.em_size(8))
     found = model.studies.ablation.sorted
     regions = [region for region in REGIONS if any(not math.isnan(gains[region]) for _, gains in found)]
-    del regions[max(int(room / (number + 2 * imgui.get_style().cell_padding.x)) - 1, 0) :]
+    regions = with_room(regions, max(int(room / (number + 2 * imgui.get_style().cell_padding.x)) - 1, 1))
     flags = imgui.TableFlags_.row_bg.value
     if not imgui.begin_table("###ablation", 2 + len(regions), flags):
         return
@@ -59,6 +60,12 @@ def _table(model: Model) -> None:
             imgui.table_next_column()
             imgui.text(_gain(gains[region]))
     imgui.end_table()
+
+
+def with_room(regions: list[str], most: int) -> list[str]:
+    """Return at most so many of the regions, in their order."""
+    kept = [region for region in _FIRST if region in regions][:most]
+    return [region for region in regions if region in kept]
 
 
 def _label(name: str) -> str:

@@ -124,7 +124,8 @@ def register(app: Workspace) -> None:
 
     add("fit", "Fit", "View", "F", lambda: setattr(model.framing, "due", True), opened)
     add("one_to_one", "1 : 1", "View", "Ctrl+0", lambda: setattr(model.view, "zoom", 1.0), opened)
-    add("zoom_in", "Zoom in", "View", "+", lambda: model.framing.zoom(2.0), opened, also=("=",))
+    add("zoom_in", "Zoom in", "View", "+", lambda: model.framing.zoom_in(app.canvas_size, model.pointing.picked),
+        opened, also=("=",), tooltip="Zoom in at the picked pixel if it is seen, else at the middle")  # fmt: skip
     add("zoom_out", "Zoom out", "View", "-", lambda: model.framing.zoom(0.5), opened)
     add("next_layer", "Next layer", "View", "Down", lambda: model.walk.next_layer(1), opened, repeat=True)
     add("previous_layer", "Previous layer", "View", "Up", lambda: model.walk.next_layer(-1), opened, repeat=True)
@@ -346,9 +347,7 @@ def register_layers(app: Workspace) -> None:
 
 
 def _why_no_layer(model: Model, name: str) -> str | None:
-    if model.contents.spec(name) is None:
-        return "not made with these options"
-    return model.contents.why_not(name)
+    return model.contents.why_absent(name) or model.contents.why_not(name)
 
 
 def _theme(app: Workspace) -> None:

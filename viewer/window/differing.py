@@ -17,18 +17,17 @@ def draw(app: Interface) -> None:
     model, study = app.model, app.model.studies.differing
     if widgets.studied(model, study) is None:
         return
-    first, shown = study.first, [one for one in study.all if one.differs or app.lists_equal]
+    first, shown = study.first, [one for one in study.all if one.differs or not one.common or app.lists_equal]
     imgui.begin_disabled(first is None)
     if imgui.button("go to the first###first_differing") and first is not None:
-        _show(model, first)
+        show(model, first)
+        model.pointing.pick(first.worst)
     imgui.end_disabled()
-    widgets.tooltip("Show the difference of the first layer that differs")
+    widgets.tooltip("Show the difference of the first layer that differs, and pick the pixel where it is largest")
     imgui.same_line()
     widgets.toggle("show equal layers", app.lists_equal, lambda on: setattr(app, "lists_equal", on))
-    counted = sum(one.differs for one in study.all)
     done = f"{len(study.found)} of {study.parts} stages …   " if study.busy else ""
-    told = f"{done}{counted} of {len(study.all)} layers differ"
-    widgets.hint(told if first or study.busy else "all layers are equal")
+    widgets.hint(done + study.text)
     with widgets.compact():
         for group, listed in groupby(shown, key=lambda one: one.spec.group):
             imgui.text_disabled(group)
@@ -46,14 +45,14 @@ def _table(model: Model, group: str, listed: list[Difference]) -> None:
     for one in listed:
         imgui.table_next_row()
         imgui.table_next_column()
-        text = widgets.cut(one.spec.label, imgui.get_content_region_avail().x)
+        text = widgets.cut(one.label, imgui.get_content_region_avail().x)
         spans = imgui.SelectableFlags_.span_all_columns.value
         if not one.differs:
             imgui.push_style_color(imgui.Col_.text, imgui.get_style_color_vec4(imgui.Col_.text_disabled))
         if imgui.selectable(f"{text}###differing {one.spec.name}", model.view.a == one.spec.name, spans)[0]:
-            _show(model, one)
+            show(model, one)
         told = one.remark or f"{one.pixels} of {one.of} pixels differ"
-        widgets.tooltip(f"{one.spec.label}: {told}. {one.spec.description}")
+        widgets.tooltip(f"{one.label}: {told}. {one.spec.description}")
         imgui.table_next_column()
         imgui.text(one.remark if one.remark else f"{one.pixels}" if one.pixels else "=")
         imgui.table_next_column()
@@ -64,8 +63,10 @@ def _table(model: Model, group: str, listed: list[Difference]) -> None:
     imgui.end_table()
 
 
-def _show(model: Model, one: Difference) -> None:
-    """Show a layer, and the difference between A's and B's."""
+def show(model: Model, one: Difference) -> None:
+    """Show a layer, and the difference between A's and B's, of several planes in that with the largest."""
     model.show_layer(one.spec.name)
+    if one.planes:
+        model.looks.choose_plane(one.spec.name, one.planes[0])
     model.comparison.with_settings()
     model.comparison.set("difference")

@@ -362,7 +362,7 @@ def _layer_text(model: Model, name: str) -> str:
     """Return the layer's name and its display settings, or the reason why it is missing."""
     spec = model.contents.spec(name)
     if spec is None:
-        return f"{names.plain(name)}: not made with these options"
+        return f"{names.plain(name)}: {model.contents.why_absent(name)}"
     text = layer_text(spec, model.looks.of(name))
     if names.is_second(name) and model.kept.b is not None:
         text = f"{model.kept.b.name}   {text}"

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, TypeVar
 
@@ -98,7 +98,7 @@ class DeviceLayer:
         stored, events = self.known.read_block(queue, *texels_over(*grids, *block))
         return lambda: spread(stored[0, ..., 0], *grids, *block), events
 
-    def place(self, px: tuple[int, int], source_px: tuple[float, float] | None) -> tuple[int, int] | None:
+    def place(self, px: tuple[int, int], source_px: Sequence[float] | np.ndarray | None) -> tuple[int, int] | None:
         """Return the pixel or texel for display pixel `px` and for `source_px`, a position in the rendered image;
         None if there is none."""
         if grid_of(self.spec.grid).lies_on_source:

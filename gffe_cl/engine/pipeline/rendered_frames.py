@@ -36,7 +36,9 @@ class RenderedFrames:
     def needed(self) -> DeviceFrame:
         """The current frame. Raises GffeError if there is none yet."""
         if self.current is None:
-            raise GffeError("pipeline: submit a rendered frame first")
+            raise GffeError(
+                "pipeline: submit a rendered frame first (also after `change_options`, unless `keeps_frames` is true)"
+            )
         return self.current
 
     def require_later(self, time: float) -> None:

@@ -21,8 +21,9 @@ class Stepper:
     """Chooses options while a program runs: the best whose frames fit into a budget. It has no clock and changes no
     pipeline: the caller passes times, and changes the options. ::
 
-        stepper = gffe.Stepper(budget_ms=4)
-        pipeline = gffe.Pipeline(device, width, height, stepper.options)
+        best = gffe.Options()
+        stepper = gffe.Stepper(4, best)
+        pipeline = gffe.Pipeline(device, width, height, best)  # a later one, too, as for a resized window
         while playing:
             ...
             if stepper.took(milliseconds_of_the_new_frame):

@@ -133,7 +133,8 @@ class RunningProgram:
             if answer is not None:
                 return answer
             if self.ended:
-                raise GffeError(f"the program '{self.name}' has ended; its last frames can be looked at and written")
+                why = f"the program '{self.name}' has ended or made a new pipeline"
+                raise GffeError(f"{why}; its last frames can be looked at and written")
 
     # ---- on a thread of its own ----------------------------------------------------------------------------
 

@@ -25,6 +25,7 @@ from .source import FrameSource
 _IN_OUTPUT = {names.DEPTH: ("Z",), names.MOTION: ("motion.x", "motion.y")} | {
     f"frame.{name}": (channel,) for channel, name in MASKS.items()
 }
+_OF_RENDERED = {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
 
 
 def version_of(place: str) -> str:
@@ -37,8 +38,8 @@ class StoredSlots:
     opened.
 
     A slot's picture is the frame of its time: of a generated slot the extrapolated one, else ground truth, else a
-    rendered one. Depth, motion and masks are those of the output's files, all other layers those of its stage dump
-    (`gffe run --dump-stages`).
+    rendered one. Depth, motion and masks are those of the output's files, rendered color, depth and motion those of the
+    sequence, and all other layers those of its stage dump (`gffe run --dump-stages`).
     """
 
     def __init__(self, place: str, version: str):
@@ -58,12 +59,13 @@ class StoredSlots:
         entry = next((found for kind in kinds if (found := sequence.at(kind, at)) is not None), None)
         if entry is None:
             raise GffeError(f"{self.place}: no frame at {at:.4f} s")
+        base = sequence.at("rendered", source.time(k))
         images = {name: made for name in layers if (made := self._image(entry, name, known.get(name))) is not None}
+        images = self._of_rendered(base, layers - images.keys()) | images
         if j and names.TRUTH in layers and (truth := source.truth(k, alphas[j])) is not None:
             images[names.TRUTH] = _rgba(truth)
         camera = entry.display_camera or source.camera(k, alphas[j])
         assert camera is not None  # every frame of a sequence has one
-        base = sequence.at("rendered", source.time(k))
         seen = (camera, camera) if base is None else (base.render_camera or camera, base.display_camera or camera)
         size = (sequence.width, sequence.height) if base is None else sequence.size_of(base)
         specs = {name: spec for name, spec in known.items() if name in images} | {
@@ -72,6 +74,19 @@ class StoredSlots:
         moment = Moment(k, alphas[j], at, camera, *seen, None)
         wall_ms = (time.perf_counter() - start) * 1e3
         return Frame(key, layers, moment, images, specs, {}, wall_ms, wall_ms, render_size=size)
+
+    def _of_rendered(self, base: FrameEntry | None, layers: frozenset[str]) -> dict[str, np.ndarray]:
+        """Return those of `layers` that are of the rendered frame; none where it is stored without depth, as in an
+        output."""
+        if base is None or not base.render_camera or not layers & _OF_RENDERED:
+            return {}
+        frame = self._sequence.read(base)
+        found = {
+            names.RENDERED_COLOR: _rgba(frame.color),
+            names.RENDERED_DEPTH: frame.depth,
+            names.RENDERED_MOTION: frame.motion,
+        }
+        return {name: image for name, image in found.items() if name in layers and image is not None}
 
     def _image(self, entry: FrameEntry, name: str, spec: LayerSpec | None) -> np.ndarray | None:
         if name == names.FINAL:

@@ -15,6 +15,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.history import FIXED_TO_CAMERA, STATIC
 
 _CELLS = constants("mover_grid.h")
+_ROUNDED = 1e-3  # relative difference from the threshold within which the kernel may have rounded to either side
 
 
 @dataclass(frozen=True)
@@ -121,11 +122,11 @@ def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
     if depth == np.inf:
-        return ("Sky: it turns with the camera.",)
+        return (_judged(label, False, "sky turns with the camera."),)
     if not pipeline.options.motion:
-        return ("Motion estimation is off: everything counts as static.",)
+        return (_judged(label, False, "motion estimation is off: everything counts as static."),)
     if shot.moment.previous_camera is None:
-        return ("No frame before this one is known: everything counts as static.",)
+        return (_judged(label, False, "no frame before this one is known: everything counts as static."),)
     if label == FIXED_TO_CAMERA:
         kept = (
             "Fixed to the camera: its motion keeps it where it is in view space, though a surface that stands still"
@@ -134,16 +135,16 @@ def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 
         return (Step(kept, Link("dynamic mask", names.DYNAMIC_MASK)),)
     if residual is None:
         why = "its motion is NaN or infinite" if not np.isfinite(motion).all() else "it was behind the camera before"
-        return (f"Dynamic: {why}.",)
-    dynamic = label != STATIC
-    kind, than = ("Dynamic", "more than") if dynamic else ("Static", "not more than")
-    said: list[str] = [
-        Step(
-            f"{kind}: its motion ({motion[0]:+.2f}, {motion[1]:+.2f}) px is {residual:.2f} px from that of a surface"
-            f" that stands still ({static[0]:+.2f}, {static[1]:+.2f}), {than} the threshold of {threshold:.2f} px.",
-            Link("dynamic mask", names.DYNAMIC_MASK),
-        )
-    ]
+        return (_judged(label, True, f"{why}.", named=True),)
+    dynamic, moves = label != STATIC, residual > threshold
+    if np.isclose(residual, threshold, rtol=_ROUNDED, atol=0):
+        moves = dynamic
+    why = (
+        f"its motion ({motion[0]:+.2f}, {motion[1]:+.2f}) px is {residual:.2f} px from that of a surface that stands"
+        f" still ({static[0]:+.2f}, {static[1]:+.2f}), {'' if moves else 'not '}more than the threshold of"
+        f" {threshold:.2f} px."
+    )
+    said: list[str] = [_judged(label, moves, why, named=True)]
     if dynamic and used == 0:
         unknown = "No earlier position of it is known (hidden or out of the image then), so it stays where it is."
         said.append(Step(unknown, Link("met depth", names.MET_DEPTH)))
@@ -161,6 +162,16 @@ def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 
             bent = f"{bend:.0%} of its acceleration counts too, by what the interval before shows of it."
             said.append(Step(bent, Link("acceleration", names.ACCELERATION)))
     return tuple(said)
+
+
+def _judged(label: int, dynamic: bool, why: str, named: bool = False) -> Step:
+    """Return `why` the fragment is `dynamic` or not by its numbers, `named` so, or that the mask's `label` contradicts
+    them."""
+    by_mask, by_numbers = ("Dynamic" if of else "Static" for of in (label != STATIC, dynamic))
+    said = f"{by_numbers}: {why}" if named else why[0].upper() + why[1:]
+    if by_mask != by_numbers:
+        said = f"The mask says {by_mask.lower()}, but {why}"
+    return Step(said, Link("dynamic mask", names.DYNAMIC_MASK))
 
 
 def _known_places(shot: Shot, px_prev, met_depth: float, history) -> list[np.ndarray]:

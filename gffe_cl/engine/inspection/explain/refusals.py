@@ -4,12 +4,13 @@ slot's buffers."""
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import NamedTuple
 
 import numpy as np
 
 from gffe_cl.engine.inspection import names
-from gffe_cl.engine.inspection.buffers import Shot, device_layers, read_blocks
+from gffe_cl.engine.inspection.buffers import DeviceLayer, Shot, device_layers, read_blocks
 from gffe_cl.engine.inspection.explain.fragment_history import around, least
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step
 from gffe_cl.engine.opencl.program import constants
@@ -60,14 +61,17 @@ def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step
     wanted = (names.DYNAMIC, names.DEPTH, names.MOTION, names.DISOCCLUDED)
     block = _Block(pipeline, shot, pixel, reach, wanted)
     met = (block.first(direction, lambda x, y: bool(block.at(names.DYNAMIC, x, y)[0])) for direction in _DIRECTIONS)
-    found = [at for at in met if at is not None]
+    found = {way: at for way, at in zip(_DIRECTIONS, met, strict=True) if at is not None}
     if not found:
         return Step(
             f"Hidden parts of movers left it: nothing moves within {reach} px, in eight directions.",
             Link("dynamic", names.DYNAMIC),
         )
-    x, y = min(found, key=lambda at: math.dist(at, pixel))
-    why = _why_not_of(pipeline, shot, block, x, y)
+    way = min(found, key=lambda way: math.dist(found[way], pixel))
+    x, y = found[way]
+    hidden, why = _was_hidden(pipeline, shot, block, x, y)
+    if hidden:
+        why += f" But {_why_not_owned(pipeline, shot, block, found, way)}."
     return Step(
         f"Hidden parts of movers left it: if it moved as ({x}, {y}) does, the nearest mover, {why}",
         Link("that mover", names.DYNAMIC, pixel=(x, y)),
@@ -81,19 +85,12 @@ def _moves_along(shot: Shot, block: _Block, x: int, y: int) -> tuple[float, floa
     return float(x + 0.5 + motion[0] + off[0]), float(y + 0.5 + motion[1] + off[1])
 
 
-def _why_not_of(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -> str:
-    """Return why the pixel of `block` is no part of the mover at (x, y)."""
+def _was_hidden(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -> tuple[bool, str]:
+    """Return whether the pixel of `block` can have been a hidden part of the mover at (x, y), and the numbers that
+    decide it."""
     moment, layers = shot.moment, device_layers(pipeline, shot)
-    camera, rendered = moment.camera, moment.render_camera
+    camera, rendered, depth_of = moment.camera, moment.render_camera, layers[names.RENDERED_DEPTH]
     z, place = float(block.at(names.DEPTH, x, y)[0]), _moves_along(shot, block, x, y)
-    was = f"it would have been at ({place[0]:.1f}, {place[1]:.1f}) of rendered frame {moment.k}"
-    at = layers[names.RENDERED_DEPTH].place((0, 0), place)
-    if at is None:
-        return f"{was}, which is outside of it."
-    shown = float(read_blocks(pipeline, {"depth": (layers[names.RENDERED_DEPTH], *at, 1, 1)})["depth"].flat[0])
-    of_mover = float(rendered.project(camera.unproject((x + 0.5, y + 0.5), z))[1])
-    if shown > 0 and not shown < _MOVERS["HIDES"] * of_mover:
-        return f"{was}. That shows depth {shown:.4g} there, which does not hide the mover at {of_mover:.4g}."
     steps = max(abs(x - block.pixel[0]), abs(y - block.pixel[1]))
     for t in range(1, steps):
         between = (
@@ -101,11 +98,65 @@ def _why_not_of(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -
         )  # fmt: skip
         depth = float(block.at(names.DEPTH, *between)[0])
         if not block.at(names.DISOCCLUDED, *between)[0] and not depth < _MOVERS["NEARER"] * z:
-            return f"a surface between them at depth {depth:.4g} does not stand before the mover at {z:.4g}."
-    return (
-        f"{was}, behind depth {shown:.4g}. But the mover is on one side only and not close by, or the frame before"
-        " showed something farther there."
-    )
+            return False, f"a surface between them at depth {depth:.4g} does not stand before the mover at {z:.4g}."
+    was = f"it would have been at ({place[0]:.1f}, {place[1]:.1f}) of rendered frame {moment.k}"
+    shown = _depth_at(pipeline, depth_of, place)
+    if shown is None:
+        return False, f"{was}, which is outside of it."
+    of_mover = float(rendered.project(camera.unproject((x + 0.5, y + 0.5), z))[1])
+    if shown > 0 and not shown < _MOVERS["HIDES"] * of_mover:
+        return False, f"{was}. That shows depth {shown:.4g} there, which does not hide the mover at {of_mover:.4g}."
+    was += f", behind depth {shown:.4g}."
+    own = depth_of.place((0, 0), block.at(names.MOTION, x, y) + (x + 0.5, y + 0.5))
+    previous = pipeline.frames.previous
+    if previous is None or moment.previous_camera is None or own is None:
+        return True, was
+    motion = read_blocks(pipeline, {"motion": (layers[names.RENDERED_MOTION], *own, 1, 1)})["motion"]
+    before = np.add(place, motion.ravel()[:2])
+    then = _depth_at(pipeline, replace(depth_of, buffer=previous.depth), before)
+    expected = float(moment.previous_camera.project(rendered.unproject(place, of_mover))[1])
+    if then is not None and _MOVERS["HIDES"] * then > expected:
+        said = f"{was} But the frame before shows depth {then:.4g} at ({before[0]:.1f}, {before[1]:.1f})"
+        return False, f"{said}, which is farther than the mover at {expected:.4g}."
+    return True, was
+
+
+def _depth_at(pipeline: Pipeline, layer: DeviceLayer, place) -> float | None:
+    """Return the depth that a rendered image shows at `place`; None outside of it."""
+    at = layer.place((0, 0), place)
+    return None if at is None else float(read_blocks(pipeline, {"depth": (layer, *at, 1, 1)})["depth"].flat[0])
+
+
+def _why_not_owned(pipeline: Pipeline, shot: Shot, block: _Block, found: dict, way: tuple[int, int]) -> str:
+    """Return why the pixel of `block` is not of a mover that is `found` by direction, though it can have been a hidden
+    part of the nearest one, in direction `way`."""
+    hidden = {one: at for one, at in found.items() if _was_hidden(pipeline, shot, block, *at)[0]}
+    depths = {one: float(block.at(names.DEPTH, *at)[0]) for one, at in hidden.items()}
+    opposite, near = (-way[0], -way[1]), block.reach / _MOVERS["BESIDE"]
+
+    def span(one: tuple[int, int]) -> float:
+        """Return the distance between the movers in a direction and its opposite; infinite without two of one depth."""
+        other = (-one[0], -one[1])
+        if other not in hidden:
+            return math.inf
+        near, far = sorted((depths[one], depths[other]))
+        return math.dist(hidden[one], hidden[other]) if far - near <= _MOVERS["ONE_OBJECT"] * near else math.inf
+
+    distance = math.dist(found[way], block.pixel)
+    if distance <= near:
+        return f"that mover is {distance:.1f} px away, and up to {near:.1f} px one side is enough: nothing refuses it"
+    between = min(hidden, key=span)
+    if span(between) <= block.reach:
+        return f"({hidden[between][0]}, {hidden[between][1]}) is one with a mover on the other side: nothing refuses it"
+    alone = f"that mover is {distance:.1f} px away, more than the {near:.1f} px within which one side is enough, and"
+    if opposite not in found:
+        return f"{alone} nothing moves on the other side within {block.reach} px"
+    other = f"the mover on the other side, at ({found[opposite][0]}, {found[opposite][1]}),"
+    if opposite not in hidden:
+        return f"{alone} {other} has no hidden part here"
+    if math.isinf(span(way)):
+        return f"{alone} {other} is another one: its depth is {depths[opposite]:.4g}, not {depths[way]:.4g}"
+    return f"{alone} {other} is {span(way):.1f} px from it, more than {block.reach} px"
 
 
 def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px) -> Step | None:
