@@ -303,11 +303,13 @@ INLINE bool is_hidden_beside(const int src, const int k, __constant Frame *frame
 }
 
 /* Offers parts, or empties the keys for them, at the edges of movers that something hides, of those that the work-group
-   scans, one side per work-item. `found`, `found_count`: as for scan_for. */
-INLINE void offer_at_edges(const int pass, __constant Frame *frame, const Parts f, __local ushort *found,
-                           __local uint *found_count) {
+   scans, one side per work-item, if it is `wanted` and there is a frame before. All work-items must come here: PoCL
+   skips tests of single ones behind a barrier that is in a branch. `found`, `found_count`: as for scan_for. */
+INLINE void offer_at_edges(const bool wanted, const int pass, __constant Frame *frame, const Parts f,
+                           __local ushort *found, __local uint *found_count) {
     const int width = frame->source_width;
-    const int first = scan_for(DYNAMIC, f.dynamic_mask, width * frame->source_height, found, found_count);
+    const int end = wanted && frame->has_previous ? width * frame->source_height : 0;
+    const int first = scan_for(DYNAMIC, f.dynamic_mask, end, found, found_count);
     for (uint i = get_local_id(0); i < SIDES * *found_count; i += SCAN_GROUP) {
         const int src = first + found[i / SIDES], k = (int)i % SIDES;
         if (is_hidden_beside(src, k, frame, f)) offer_side(src % width, src / width, k, pass, frame, f);
@@ -346,7 +348,7 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
                          .keys = keys,
                          .winners = winners};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
-    if (reappear && frame->has_previous) offer_at_edges(EMPTY_KEYS, frame, parts, found, &found_count);
+    offer_at_edges(reappear, EMPTY_KEYS, frame, parts, found, &found_count);
     if (reappear && get_global_id(0) == 0) offered[0] = 0;
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         /* Team by team look into all directions ... */
@@ -385,7 +387,7 @@ SCAN_FLAT __kernel void offer_reappearing(__constant Frame *restrict frame, cons
                          .winners = winners,
                          .filled_by = filled_by,
                          .offered = offered};
-    if (frame->has_previous) offer_at_edges(pass, frame, parts, found, &found_count);
+    offer_at_edges(true, pass, frame, parts, found, &found_count);
 }
 
 /* Code of the color that a mover of depth `met` had at px_prev, where the frame before showed it. */

@@ -3,7 +3,6 @@
    depth met there, which is all that is stored of it for k = 2; for more, P_1 ... P_{k-1} are. */
 
 #include "frame.h"
-#include "acceleration.h"
 #include "blocks.h"
 #include "encode.h"
 #include "scene_cuts.h"
@@ -32,6 +31,7 @@
 
 #define NO_MOTION 0.001f /* px: each component of less, with rounding, is within epsilon ... */
 #define LEAST_THRESHOLD 0.01f /* ... if that is at least so much */
+#define STIR_REACH 2 /* px: as far as kernels that skip blocks look around a pixel */
 #define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
@@ -366,20 +366,15 @@ INLINE float depth_met(const float2 px_prev, const float z_expected, const float
     return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
 }
 
-/* The rendered frame and the one before, the threshold, and the results. */
+/* The rendered frame and the one before, and the results for dynamic fragments. */
 typedef struct {
-    __global const half *color;
     __global const float *depth;
     __global const float2 *motion;
     __global const float *depth_prev;
     __global const uchar *dynamic_prev;
     __global const float4 *history_prev;
-    __global const float *threshold_squared, *quantization_error;
-    __global uchar *dynamic_mask;
     __global float *met_depth;
     __global float4 *history;
-    __global int *last_stir;
-    __global half *codes;
 } Frames;
 
 /* The rest of Algorithm 1 for a dynamic fragment: P_1 ... from the previous frame. */
@@ -460,100 +455,72 @@ INLINE void note_stir(const int first_x, const int last_x, const int src_y, __co
             last_stir[by * block_columns(width) + bx] = frame->number;
 }
 
-/* Algorithm 1 for LANES fragments of a row. Static ones only take the test. */
-INLINE void track_run(const int src_x, const int src_y, __constant Frame *frame, const Frames f) {
-    const int source_width = frame->source_width;
+/* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
+   0) where P_i is unknown. Static fragments only take the test. last_stir: for each block the number of the last frame
+   in which a pixel within STIR_REACH of it was not static, had no valid depth or, while the camera rests, another depth
+   than before. Colors are encoded, too, unless the camera rests: then ColorCode encodes those that are mixed. */
+WIDE __kernel void track_history(__constant Frame *restrict frame, __global const float *depth,
+                                 __global const float2 *motion, __global const float *depth_prev,
+                                 __global const uchar *dynamic_prev, __global const float4 *history_prev,
+                                 __global const float *threshold_squared, __global const float *quantization_error,
+                                 __global const half *color, __global uchar *dynamic_mask, __global float *met_depth,
+                                 __global float4 *history, __global int *last_stir, __global half *codes) {
+    const Frames frames = {.depth = depth,
+                           .motion = motion,
+                           .depth_prev = depth_prev,
+                           .dynamic_prev = dynamic_prev,
+                           .history_prev = history_prev,
+                           .met_depth = met_depth,
+                           .history = history};
+    const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous && frame->motion;
     const Reprojection to_previous = frame->to_previous;
+    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
+    if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
     Ints moves = 0, may_stay = 0, stirs = 0;
     Floats z = 0.0f, mv_x = 0.0f, mv_y = 0.0f;
     if (has_previous) { /* before colors are encoded, so that GPUs need not wait for both */
-        z = load_some_floats(count, f.depth + src);
-        mv_x = load_some_xy(count, f.motion + src, &mv_y);
+        z = load_some_floats(count, depth + src);
+        mv_x = load_some_xy(count, motion + src, &mv_y);
     }
-    if (frame->coded) encode_run(count, src, frame->code_offset, f.color, f.codes);
+    if (frame->coded) encode_run(count, src, frame->code_offset, color, codes);
     if (has_previous) {
         const Floats px_x = row_centers(src_x);
         const float px_y = (float)src_y + 0.5f;
         stirs = !(z > 0.0f);
         if (frame->rests) {
-            const Floats z_prev = load_some_floats(count, f.depth_prev + src);
+            const Floats z_prev = load_some_floats(count, depth_prev + src);
             stirs |= z != z_prev;
             const Ints may_move = stirs | !(fabs(mv_x) <= NO_MOTION) | !(fabs(mv_y) <= NO_MOTION);
-            if (!ANY(may_move) && *f.threshold_squared >= LEAST_THRESHOLD * LEAST_THRESHOLD) {
-                store_some_bytes((Bytes)(STATIC), count, f.dynamic_mask + src);
+            if (!ANY(may_move) && *threshold_squared >= LEAST_THRESHOLD * LEAST_THRESHOLD) {
+                store_some_bytes((Bytes)(STATIC), count, dynamic_mask + src);
                 return;
             }
         }
         const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, to_previous);
         Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
-        moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *f.threshold_squared));
+        moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
         if (ANY(moves)) { /* else nothing exceeds errors of quantization */
-            dx = beyond(dx, mv_x, 1.0f, f.quantization_error);
-            dy = beyond(dy, mv_y, 1.0f, f.quantization_error + 2);
-            moves &= (px_static.z < 0.0f) | !(dx * dx + dy * dy <= *f.threshold_squared);
+            dx = beyond(dx, mv_x, 1.0f, quantization_error);
+            dy = beyond(dy, mv_y, 1.0f, quantization_error + 2);
+            moves &= (px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared);
         }
         if (frame->camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, px_static.z, moves, frame);
     }
     const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));
-    store_some_bytes(mask, count, f.dynamic_mask + src);
+    store_some_bytes(mask, count, dynamic_mask + src);
     if (!ANY(moves | may_stay | stirs)) return;
     int first = LANES, last = -1;
     for (int lane = 0; lane < count; ++lane) {
-        const bool stays = int_of(&may_stay, lane) && is_fixed(src_x + lane, src_y, frame, f);
+        const bool stays = int_of(&may_stay, lane) && is_fixed(src_x + lane, src_y, frame, frames);
         const bool is_dynamic = stays || int_of(&moves, lane);
-        if (stays) f.dynamic_mask[src + lane] = FIXED_TO_CAMERA;
-        if (is_dynamic) find_history(src_x + lane, src_y, frame, f);
+        if (stays) dynamic_mask[src + lane] = FIXED_TO_CAMERA;
+        if (is_dynamic) find_history(src_x + lane, src_y, frame, frames);
         if (!is_dynamic && !int_of(&stirs, lane)) continue;
         first = min(first, lane);
         last = lane;
     }
-    if (last >= 0) note_stir(src_x + first, src_x + last, src_y, frame, f.last_stir);
-}
-
-/* Algorithm 1: of dynamic fragments, met_depth, 0 if invalid, and history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
-   0) where P_i is unknown. last_stir: for each block the number of the last frame in which a pixel within STIR_REACH of
-   it was not static, had no valid depth or, while the camera rests, another depth than before. Colors are encoded, too,
-   unless the camera rests: then ColorCode encodes those that are mixed. Then movers' acceleration, by cells: MOVER_CELL
-   rows of LANES pixels per work-item, so that a work-group has all pixels of its cells. */
-WIDE __kernel void track_history(__constant Frame *restrict frame, __global const float *depth,
-                                 __global const float2 *motion, __global const float *depth_prev,
-                                 __global const uchar *dynamic_prev, __global const float4 *history_prev,
-                                 __global const float *threshold_squared, __global const float *quantization_error,
-                                 __global const half *color, __global const float4 *velocity_prev,
-                                 __global const uint2 *acceleration_prev, __global const uint2 *view_velocity_prev,
-                                 __global uchar *dynamic_mask, __global float *met_depth, __global float4 *history,
-                                 __global int *last_stir, __global half *codes, __global float4 *velocity,
-                                 __global uint2 *acceleration, __global uint2 *bend, __global uint2 *view_velocity) {
-    const Frames frames = {.color = color,
-                           .depth = depth,
-                           .motion = motion,
-                           .depth_prev = depth_prev,
-                           .dynamic_prev = dynamic_prev,
-                           .history_prev = history_prev,
-                           .threshold_squared = threshold_squared,
-                           .quantization_error = quantization_error,
-                           .dynamic_mask = dynamic_mask,
-                           .met_depth = met_depth,
-                           .history = history,
-                           .last_stir = last_stir,
-                           .codes = codes};
-    const Tracked tracked = {.depth = depth, .motion = motion, .dynamic_mask = dynamic_mask, .met_depth = met_depth};
-    const Movers movers = {.velocity_prev = velocity_prev,
-                           .acceleration_prev = acceleration_prev,
-                           .view_velocity_prev = view_velocity_prev,
-                           .velocity = velocity,
-                           .acceleration = acceleration,
-                           .bend = bend,
-                           .view_velocity = view_velocity};
-    const int width = frame->source_width, height = frame->source_height;
-    const int src_x = get_global_id(0) * LANES, first_y = get_global_id(1) * MOVER_CELL;
-    for (int src_y = first_y; src_x < width && src_y < min(first_y + MOVER_CELL, height); ++src_y)
-        track_run(src_x, src_y, frame, frames);
-    if (LANES < MOVER_CELL) barrier(CLK_GLOBAL_MEM_FENCE); /* before any return, which PoCL takes for all work-items */
-    if (!frame->bends || src_x % MOVER_CELL || first_y >= height) return;
-    for (int x = src_x; x < min(src_x + LANES, width); x += MOVER_CELL)
-        track_acceleration(x / MOVER_CELL, first_y / MOVER_CELL, frame, tracked, movers);
+    if (last >= 0) note_stir(src_x + first, src_x + last, src_y, frame, last_stir);
 }

@@ -1,5 +1,5 @@
 /* Cells of 4x4 pixels of a rendered frame, in which one mover's velocity and acceleration are known (see
-   acceleration.h). */
+   acceleration.cl). */
 
 /* What set the thresholds: docs/deviations.md, "Movers' acceleration goes on". */
 #define MOVER_CELL 4                 /* px each way */

@@ -3,7 +3,7 @@
    camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
    to in the frame before, at the depth met there. Where the frame before does not show a mover's fragment, which came
    into view, that depth is the one of a static fragment; at the border of the image it changes as it does for the
-   mover's nearest fragment whose depth is known. The trusted part of a mover's acceleration (acceleration.h) is added
+   mover's nearest fragment whose depth is known. The trusted part of a mover's acceleration (acceleration.cl) is added
    to the linear prediction. */
 
 #include "frame.h"

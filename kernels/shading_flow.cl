@@ -403,7 +403,8 @@ WIDE TILED __kernel void find_followed(__constant Frame *restrict frame, __globa
             follows = (in_place > UNLIKE) & (moved < EXPLAINED * in_place);
             follows &= (fabs(load_floats(0, here)) < longest) & (fabs(load_floats(0, here + FLOW_PLANE)) < longest);
         }
-        if (ANY(follows)) follows &= !varies(near, x, y) & !is_rough(frames, fine, fine_height, TILE_X + x, TILE_Y + y);
+        if (ANY(follows))
+            follows &= !(varies(near, x, y) | is_rough(frames, fine, fine_height, TILE_X + x, TILE_Y + y));
         store_some_floats(follows ? (Floats)(1.0f) : (Floats)(0.0f), count,
                           followed + (TILE_Y + y) * width + TILE_X + x);
     }

@@ -63,7 +63,7 @@ typedef float4 Texels;
 #define TEXELS 1
 #define PARTS 1
 #define VALID(texels) (texels).w
-#define OF_TEXELS(v, part) ((float4)(v))
+#define OF_TEXELS(v, part) ((void)(part), (float4)(v))
 #define ALL_TEXELS(condition) all(condition)
 #define load_texels(i, p) load_texel(i, p)
 #define reload_texels(i, p) vload4(i, p)
@@ -75,7 +75,7 @@ typedef float4 Texels;
 #define ROWS_OF_PARTS(pixels) (pixels)
 #define finite_texels finite_texel
 #define store_texels store_texel
-#define gather_texels(image, i, part, in_row) load_texel(i, image)
+#define gather_texels(image, i, part, in_row) ((void)(part), (void)(in_row), load_texel(i, image))
 
 #endif
 

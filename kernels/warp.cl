@@ -391,7 +391,7 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global half *out_color, __global float *out_depth, __global float2 *out_motion,
                             __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
                             __global uchar *mixed, __global uint *open) {
-    const int width = frame->source_width, height = frame->source_height;
+    const int width = frame->source_width;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments from = fragments_of(frame, depth, target_position, links);
     const Rendered shown = {.color = color,

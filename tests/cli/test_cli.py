@@ -222,8 +222,8 @@ def test_shading_correction(gffe, tmp_path):
     model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.5)
     runs = {
         "none": ("--no-scn",),
-        "some": ("--scn-model", model, "--dump-stages"),
-        "all": ("--scn", "--scn-model", model, "--no-focus-mask", "--scn-provider", "cpu"),
+        "some": ("--scn-model", model, "--no-image-flow", "--dump-stages"),
+        "all": ("--scn", "--scn-model", model, "--no-image-flow", "--no-focus-mask", "--scn-provider", "cpu"),
     }
     images = {}
     for name, options in runs.items():
@@ -242,7 +242,8 @@ def test_shading_correction(gffe, tmp_path):
     assert dumped >= {"warp.color.exr", "network_input.frames.exr", *(f"correction.{name}.exr" for name in names)}
 
     broken = constant_model(tmp_path / "nan.onnx", judgement=[float("nan")])
-    code, _, err = gffe("run", scene, tmp_path / "nan", "--scn-model", broken, "--json", tmp_path / "r.json")
+    words = ("--scn-model", broken, "--no-image-flow", "--json", tmp_path / "r.json")
+    code, _, err = gffe("run", scene, tmp_path / "nan", *words)
     assert code == 0 and err.count("nan.onnx: the network gave NaN or infinity for about") == 1
     assert err.splitlines()[0] == "warning: " + " ".join(json.loads((tmp_path / "r.json").read_text())["warnings"])
     made = open_sequence(tmp_path / "nan")

@@ -420,14 +420,14 @@ def is_mover(images):
 
 
 def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path):
-    options = replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"))
+    options = replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"), image_flow=False)
     with running(device, FadingClip()) as engine:
         plain = ask(engine, 13, Setup(replace(options, shading_correction=False)), "all").images
         on = ask(engine, 13, Setup(options), "all")
         images, mask = on.images, is_mover(on.images)
         made = ("judgement", "chosen", "correction", "refined", "focus_mask", "color")
         names = {"gae", "network_input.frames", *(f"correction.{name}" for name in made)}
-        names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates", "texture")}
+        names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates", "texture", "followed")}
         assert set(images) - set(plain) == names
         assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})
         for name, other in (("gae", "final"), ("focus_truth", "focus_truth")):

@@ -161,6 +161,7 @@ def _disabled(gui: Gui) -> list[str]:
 def shading_correction(gui: Gui):
     """Grayed out without a model; with one, both toggles do what they say."""
     model, values = gui.model, gui.values
+    model.parameters.set("image_flow", False)  # it changes other pixels, too
     values["disabled without a model"] = _disabled(gui)
     off, installed = gui.images(), inference.default_model
     network = Path(movers_model(gui.sequences / "scn.onnx"))
@@ -203,6 +204,7 @@ def shading_correction(gui: Gui):
         gui.settle()
         values["switched on"] = _changed(on, gui.images())
     finally:
+        model.parameters.set("image_flow", True)
         inference.default_model = installed
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import atexit
+import ctypes
 import threading
 import weakref
 from collections import deque
@@ -10,7 +11,7 @@ from collections.abc import Callable, Hashable
 from concurrent.futures import Future
 from typing import Any
 
-_PATIENCE = 5.0  # seconds that the end of the program waits for a job under way
+_PATIENCE = 5.0  # seconds that the end of the program waits for jobs under way, and then for those that it gives up
 _all: weakref.WeakSet[Background] = weakref.WeakSet()
 
 
@@ -46,6 +47,12 @@ class Background:
             for future, *_ in self._jobs:
                 future.cancel()
             self._news.notify()
+
+    def give_up(self) -> None:
+        """End the job that is under way with SystemExit, as soon as it is in Python again."""
+        if self._thread is not None and self._thread.ident is not None:
+            thread, error = ctypes.c_ulong(self._thread.ident), ctypes.py_object(SystemExit)
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(thread, error)
 
     def join(self) -> None:
         """Wait for a thread that is ending, but not for ever."""
@@ -108,7 +115,6 @@ class Derived:
 @atexit.register
 def _end() -> None:
     """End all threads before the interpreter stops them: within a binary package that is a crash."""
-    for background in list(_all):
-        background.close()
-    for background in list(_all):
-        background.join()
+    for end in (Background.close, Background.join, Background.give_up, Background.join):
+        for background in list(_all):
+            end(background)

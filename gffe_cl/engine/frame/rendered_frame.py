@@ -15,12 +15,14 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
+    LARGEST,
     as_float32,
     require_array,
     require_bool,
     require_kind,
     require_number,
     require_size,
+    shown,
 )
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import DEPTH_TYPES, MOTION_TYPES, NO_JITTER, TYPES, require_jitter
@@ -120,19 +122,30 @@ class RenderedFrame:
         return self.display_camera or self.camera
 
 
-_NO_CAMERA, _NO_OVERLAYS = (Camera, type(None)), (Overlays, type(None))  # types of fields that may hold none
+# Fields that hold objects: their types, in words, too.
+_OBJECTS = (
+    ("camera", Camera, "a Camera"),
+    ("display_camera", (Camera, type(None)), "a Camera or None"),
+    ("overlays", (Overlays, type(None)), "Overlays or None"),
+)
 
 
 def checked_frame(frame: RenderedFrame) -> RenderedFrame:
     """Return `frame` with `time` and `reset` as Python values. Raises GffeError for invalid values, arrays excepted."""
-    require_kind(frame, RenderedFrame, "frame")
-    require_kind(frame.camera, Camera, "frame: camera", "a Camera")
-    require_kind(frame.display_camera, _NO_CAMERA, "frame: display_camera", "a Camera or None")
-    require_kind(frame.overlays, _NO_OVERLAYS, "frame: overlays", "Overlays or None")
-    time, reset = require_number(frame.time, "frame: time"), require_bool(frame.reset, "frame: reset")
-    jitter, size = require_jitter(frame.geometry_jitter), frame.geometry_size
-    if time is frame.time and reset is frame.reset and jitter is NO_JITTER and size is None:
+    if not isinstance(frame, RenderedFrame):
+        require_kind(frame, RenderedFrame, "frame")
+    for name, kind, expected in _OBJECTS:
+        if not isinstance(getattr(frame, name), kind):
+            raise GffeError(f"frame: {name} must be {expected}, got {shown(getattr(frame, name))}")
+    time, reset, jitter, size = frame.time, frame.reset, frame.geometry_jitter, frame.geometry_size
+    plain = type(time) is float and -LARGEST < time < LARGEST and type(reset) is bool
+    if plain and jitter is NO_JITTER and size is None:
         return frame
+    time, reset, jitter = (
+        require_number(time, "frame: time"),
+        require_bool(reset, "frame: reset"),
+        require_jitter(jitter),
+    )
     size = None if size is None else require_size(size, "frame: geometry_size", whole=True)
     checked = replace(frame, time=time, reset=reset, geometry_jitter=jitter, geometry_size=size)
     checked._known_bad = frame._known_bad
@@ -262,7 +275,8 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
-    require_kind(frame, RenderedFrame, "frame")
+    if not isinstance(frame, RenderedFrame):
+        require_kind(frame, RenderedFrame, "frame")
     if height is None:
         height, width = require_array(frame.depth, "frame: depth", None, None, kinds="f").shape
         width, height = require_size((width, height), "frame: size", whole=True)

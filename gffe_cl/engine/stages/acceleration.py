@@ -10,7 +10,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Board, Stage
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.pixel_formats import TRUSTED
 
@@ -19,10 +19,9 @@ _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
 
 class Acceleration(Stage):
     """Tracks the change of movers' velocity in cells of 4×4 pixels, as far as it has lasted. Prediction adds the
-    change, rotated as it rotated before. History tracking computes it."""
+    change, rotated as it rotated before."""
 
     name = "acceleration"
-    builds_at_once = False  # it has no kernels of its own
     buffers = (
         BufferSpec(
             "velocity",
@@ -67,6 +66,27 @@ class Acceleration(Stage):
             packing=TRUSTED,
         ),
     )
+    kernels = (
+        Kernel(
+            "track_acceleration",
+            _CELLS,
+            {
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
+                "dynamic_mask": "history.dynamic_mask",
+                "met_depth": "history.met_depth",
+                "velocity_prev": "acceleration.velocity'",
+                "acceleration_prev": "acceleration.acceleration'",
+                "view_velocity_prev": "acceleration.view_velocity'",
+            },
+            {
+                "velocity": "acceleration.velocity",
+                "acceleration": "acceleration.acceleration",
+                "bend": "acceleration.bend",
+                "view_velocity": "acceleration.view_velocity",
+            },
+        ),
+    )
 
     def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
         """Return new device buffers by name. All are parts of one buffer, so that the history can be lent."""
@@ -91,3 +111,6 @@ class Acceleration(Stage):
         self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
         super().__init__(board)
         board.memory.lend(self, "memory'", at_once=True)
+
+    def rendered(self, step: Step) -> None:
+        self.launch("track_acceleration", step)

@@ -13,7 +13,6 @@ from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.scene_cuts import SceneCuts
 
 _CONSTANTS = constants("history.cl")
-_MOVERS = ("velocity", "acceleration", "view_velocity", "bend")  # buffers of acceleration; of the last one no earlier
 _CLASSES = ("x", "negative_x", "y", "negative_y")
 STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
 
@@ -145,25 +144,25 @@ class HistoryTracking(Stage):
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
                 "color": "rendered.color",
-                "dynamic_mask": "history.dynamic_mask",
-                "met_depth": "history.met_depth",
-            }
-            | {f"{name}_prev": f"acceleration.{name}'" for name in _MOVERS[:3]},
+            },
             {
                 "dynamic_mask": "history.dynamic_mask",
                 "met_depth": "history.met_depth",
                 "history": "history.history",
                 "last_stir": "history.last_stir",
                 "codes": "color_code.codes",
-            }
-            | {name: f"acceleration.{name}" for name in _MOVERS},
-            step=("LANES", "MOVER_CELL"),
+            },
+            step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
         self.positions = board.facts["positions"] = board.options.history
         self.detects = board.facts["detects"] = SceneCuts.name in board.stages
+        if not self.detects:  # it counts nothing for them
+            measure, *others = self.kernels
+            nothing: dict[str, Any] = {"cut_counts": "history.pending"}
+            self.kernels = (replace(measure, writes={**measure.writes, **nothing}), *others)
         changes: dict[str, dict[str, Any]]
         if self.positions > 2:  # only then are positions stored, and is anything kept of the frame before
             changes = {

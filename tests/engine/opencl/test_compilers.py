@@ -321,6 +321,7 @@ _SCENES = "one large function; only test scenes use it"
 # exception, if it is one alone.
 EXCESSES = {
     ("upscaling.accumulate", "dg2-g10", "SIMD8"): ("16 taps of four channels; not among the defaults", "libigc1"),
+    ("warp.splat", "dg2-g10", "SIMD8"): ("it finds layers, too", ""),
     ("background.fill_from_levels", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),

@@ -130,14 +130,16 @@ def test_c_decides_as_python_does():
 EXAMPLE = """
 #include "gffe.h"
 #define gffe_extrapolate(...) ++made
+#define gffe_submit(...) ((void)0)
+#define take_rendered_frame(frame) (coming-- > 0)
 static double seconds;
 static double now(void) { return seconds += 0.01; }
 int main(void) {
-    int refresh, made = 0, is_cut = 1;
-    const double time = 0;
+    struct { double time; int is_cut; } frame = {0, 1};
+    int refresh, made = 0, coming;
     %s
     for (refresh = 0; refresh < 2; ++refresh) {
-        const int there_is_a_rendered_frame = refresh;
+        coming = refresh;
         %s
         if (made != refresh) return 1;
     }

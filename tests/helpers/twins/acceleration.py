@@ -1,10 +1,10 @@
-"""Twin of acceleration.h."""
+"""Twin of acceleration.cl."""
 
 import numpy as np
 
 from twins.common import INF, F, centers, kernel_constants, move, rotate, unproject
 
-ACCELERATION = kernel_constants("acceleration.h")
+ACCELERATION = kernel_constants("acceleration.cl")
 
 
 def _is_of_cell(z, cell_depth):

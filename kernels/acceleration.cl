@@ -42,14 +42,6 @@ typedef struct {
     __global const float *met_depth;
 } Tracked;
 
-/* The movers of the cells, and those of the frame before. */
-typedef struct {
-    __global const float4 *velocity_prev;
-    __global const uint2 *acceleration_prev, *view_velocity_prev;
-    __global float4 *velocity;
-    __global uint2 *acceleration, *bend, *view_velocity;
-} Movers;
-
 INLINE bool is_known(const Tracked f, const int src) {
     return f.dynamic_mask[src] == DYNAMIC && f.met_depth[src] > 0.0f;
 }
@@ -129,18 +121,26 @@ INLINE float3 carried_on(const float3 acceleration, const float3 before) {
    where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it
    has added alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover:
    acceleration and bend are of view space there. `ratio`: of the last two intervals. */
-INLINE void track_acceleration(const int cell_x, const int cell_y, __constant Frame *frame, const Tracked fragments,
-                               const Movers f) {
+SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __global const float *depth,
+                                        __global const float2 *motion, __global const uchar *dynamic_mask,
+                                        __global const float *met_depth, __global const float4 *velocity_prev,
+                                        __global const uint2 *acceleration_prev,
+                                        __global const uint2 *view_velocity_prev, __global float4 *velocity,
+                                        __global uint2 *acceleration, __global uint2 *bend,
+                                        __global uint2 *view_velocity) {
+    const Tracked fragments = {.depth = depth, .motion = motion, .dynamic_mask = dynamic_mask, .met_depth = met_depth};
     const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
     const float ratio = frame->interval_ratio;
     const Reprojection from_previous = frame->from_previous;
+    const int cell_x = get_global_id(0), cell_y = get_global_id(1);
+    if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
     const Mover mover = mover_of_cell(cell_x, cell_y, frame, fragments);
-    f.velocity[cell] = (float4)(mover.velocity, mover.depth);
-    f.acceleration[cell] = packed((float3)(0.0f), -1.0f);
-    f.bend[cell] = packed((float3)(0.0f), 0.0f);
-    f.view_velocity[cell] = packed(mover.view_velocity, 0.0f);
+    velocity[cell] = (float4)(mover.velocity, mover.depth);
+    acceleration[cell] = packed((float3)(0.0f), -1.0f);
+    bend[cell] = packed((float3)(0.0f), 0.0f);
+    view_velocity[cell] = packed(mover.view_velocity, 0.0f);
     if (!(mover.depth > 0.0f)) return;
 
     const float per_px = 1.0f / (float)MOVER_CELL;
@@ -152,15 +152,15 @@ INLINE void track_acceleration(const int cell_x, const int cell_y, __constant Fr
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
         if (!inside(tap_x, tap_y, level_width, level_height)) continue;
-        const float4 v = f.velocity_prev[tap_y * level_width + tap_x];
+        const float4 v = velocity_prev[tap_y * level_width + tap_x];
         if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
         const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
         velocity_sum += weight * v.xyz;
-        const uint2 seen = f.view_velocity_prev[tap_y * level_width + tap_x];
+        const uint2 seen = view_velocity_prev[tap_y * level_width + tap_x];
         view_velocity_sum += weight * unpacked(seen);
         was_carried |= is_trusted(seen);
         weight_sum += weight;
-        const uint2 a = f.acceleration_prev[tap_y * level_width + tap_x];
+        const uint2 a = acceleration_prev[tap_y * level_width + tap_x];
         if (!is_trust_known(a)) continue;
         before_sum += weight * unpacked(a);
         before_weight_sum += weight;
@@ -177,7 +177,7 @@ INLINE void track_acceleration(const int cell_x, const int cell_y, __constant Fr
         if (carried) {
             now = mover.view_velocity;
             was = seen;
-            f.view_velocity[cell] = packed(now, 1.0f);
+            view_velocity[cell] = packed(now, 1.0f);
         }
     }
     const float3 found = (now - was) * divide(ratio, 1.0f + ratio);
@@ -190,6 +190,6 @@ INLINE void track_acceleration(const int cell_x, const int cell_y, __constant Fr
         later = carried_on(found, before);
     }
     const float trusted = trust(now, found, share);
-    f.acceleration[cell] = packed(found, trusted);
-    f.bend[cell] = packed(trusted * later, trusted);
+    acceleration[cell] = packed(found, trusted);
+    bend[cell] = packed(trusted * later, trusted);
 }
