@@ -2,7 +2,20 @@
 
 #include "simd_rgb.h"
 
+/* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
+#define LEAST_EDGE 0.1f /* range of the four inner taps, white being 1, above which an edge is steepened ... */
+#define FULL_EDGE 0.3f /* ... and from which on it is so in full */
+
 #define CATMULL_ROM 0.5f /* slope */
+
+/* How much sharper than Catmull-Rom's is interpolation. */
+typedef struct {
+    float slope; /* of the cubic */
+    float steeper; /* by how much edges are steepened, midway between pixels */
+    float per_range; /* 1 / the difference of codes between FULL_EDGE and LEAST_EDGE; 0: none is steepened */
+} Sharpening;
+
+#define NOT_STEEPER(slope) {slope, 0.0f, 0.0f}
 
 /* Weights of cubic convolution (Keys) of the four taps around t in [0, 1), with these slopes at the taps: with
    CATMULL_ROM it is Catmull-Rom, with more it is sharper. */
@@ -14,94 +27,72 @@ INLINE void cubic_weights(const Floats t, const float slope, Floats *weights) {
     weights[3] = slope * (t3 - t2);
 }
 
-/* Makes the weights of all taps but the corners add up to 1. */
-INLINE void leave_out_corners(Floats *wx, const Floats *wy) {
-    const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (wx[0] + wx[3]) * (wy[0] + wy[3]));
-    for (int k = 0; k < 4; ++k) wx[k] *= scale;
+/* Weights of a sum. Those of all taps but the corners add up to 1. */
+typedef struct {
+    Floats x[4], y[4];
+    Floats steeper; /* by how much an edge is steepened there: not at all at the centers of pixels */
+    float per_range; /* as in Sharpening */
+} Cubic;
+
+INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp, Cubic *c) {
+    cubic_weights(u, sharp.slope, c->x);
+    cubic_weights(v, sharp.slope, c->y);
+    const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (c->x[0] + c->x[3]) * (c->y[0] + c->y[3]));
+    for (int k = 0; k < 4; ++k) c->x[k] *= scale;
+    c->steeper = sharp.steeper * (1.0f - fabs(2.0f * u - 1.0f) * fabs(2.0f * v - 1.0f));
+    c->per_range = sharp.per_range;
 }
 
-#define NOT_STEEPER 0.0f /* for `per_range`: interpolation alone */
-
-/* Interpolation of colors of type F, of finite numbers, a column at a time: all of them at once take 48 registers of a
-   GPU. The result is steepened: it moves away from the middle of its taps, by `steeper` of its distance, in proportion
-   to their range, up to 1 / per_range. Then it is clamped to the four inner taps. Of the first and the last column,
-   only the taps b and c count. */
-#define DEFINE_CUBIC(F, Sums, add_column, sums_up)                                                                     \
+/* Sums of type F over taps in these columns and rows of an image, of finite numbers, a column at a time: all of them at
+   once take 48 registers of a GPU. Where the four inner taps are of an edge, the sum moves away from the middle of all
+   twelve. Then it is clamped to the inner ones. */
+#define DEFINE_CUBIC(F, Image, load, of, widen, Sums, add_column, cubic)                                               \
     typedef struct {                                                                                                   \
-        F sum, low, high, outer_low, outer_high;                                                                       \
+        F sum, low, high;                                                                                              \
     } Sums;                                                                                                            \
-    INLINE void add_column(const int tx, const F a, const F b, const F c, const F d, const F weight, const F *wy,      \
-                           Sums *s) {                                                                                  \
-        const F lower = b < c ? b : c, higher = b < c ? c : b;                                                         \
-        F column = wy[1] * b + wy[2] * c, outer_low = lower, outer_high = higher;                                      \
-        if (tx == 1 || tx == 2) {                                                                                      \
-            column += wy[0] * a + wy[3] * d;                                                                           \
-            s->low = tx == 1 ? lower : s->low < lower ? s->low : lower;                                                \
-            s->high = tx == 1 ? higher : s->high < higher ? higher : s->high;                                          \
-            outer_low = a < d ? a : d;                                                                                 \
-            outer_high = a < d ? d : a;                                                                                \
-        }                                                                                                              \
-        s->outer_low = tx == 0 ? outer_low : s->outer_low < outer_low ? s->outer_low : outer_low;                      \
-        s->outer_high = tx == 0 ? outer_high : s->outer_high < outer_high ? outer_high : s->outer_high;                \
-        s->sum = tx == 0 ? weight * column : s->sum + weight * column;                                                 \
+    INLINE void widen(const F a, const F b, F *low, F *high) {                                                         \
+        const F lower = a < b ? a : b, higher = a < b ? b : a;                                                         \
+        *low = *low < lower ? *low : lower;                                                                            \
+        *high = *high < higher ? higher : *high;                                                                       \
     }                                                                                                                  \
-    INLINE F sums_up(const Sums s, const F steeper, const float per_range) {                                           \
-        F sum = s.sum;                                                                                                 \
-        if (per_range != NOT_STEEPER) {                                                                                \
-            const F least = s.outer_low < s.low ? s.outer_low : s.low,                                                 \
-                    most = s.outer_high < s.high ? s.high : s.outer_high;                                              \
-            const F range = (most - least) * per_range, part = range < 1.0f ? range : (F)(1.0f);                       \
-            sum += steeper * part * (sum - 0.5f * (least + most));                                                     \
+    INLINE void add_column(const int tx, const int column, const int *rows, const Cubic *w, const int k, Image image,  \
+                           Sums *s) {                                                                                  \
+        const F b = load(rows[1] + column, image), c = load(rows[2] + column, image);                                  \
+        F sum = of(w->y[1], k) * b + of(w->y[2], k) * c;                                                               \
+        if (tx == 1 || tx == 2)                                                                                        \
+            sum += of(w->y[0], k) * load(rows[0] + column, image) + of(w->y[3], k) * load(rows[3] + column, image);    \
+        if (tx == 1) {                                                                                                 \
+            s->low = b < c ? b : c;                                                                                    \
+            s->high = b < c ? c : b;                                                                                   \
         }                                                                                                              \
-        const F raised = sum < s.low ? s.low : sum;                                                                    \
+        if (tx == 2) widen(b, c, &s->low, &s->high);                                                                   \
+        s->sum = tx == 0 ? of(w->x[0], k) * sum : s->sum + of(w->x[tx], k) * sum;                                      \
+    }                                                                                                                  \
+    INLINE F cubic(const int *columns, const int *rows, const Cubic *w, const int k, Image image) {                    \
+        Sums s;                                                                                                        \
+        add_column(0, columns[0], rows, w, k, image, &s);                                                              \
+        add_column(1, columns[1], rows, w, k, image, &s);                                                              \
+        add_column(2, columns[2], rows, w, k, image, &s);                                                              \
+        add_column(3, columns[3], rows, w, k, image, &s);                                                              \
+        const F share = (s.high - s.low) * w->per_range - LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                       \
+        if (any(share > 0.0f)) {                                                                                       \
+            F least = s.low, most = s.high;                                                                            \
+            widen(load(rows[1] + columns[0], image), load(rows[2] + columns[0], image), &least, &most);                \
+            widen(load(rows[0] + columns[1], image), load(rows[3] + columns[1], image), &least, &most);                \
+            widen(load(rows[0] + columns[2], image), load(rows[3] + columns[2], image), &least, &most);                \
+            widen(load(rows[1] + columns[3], image), load(rows[2] + columns[3], image), &least, &most);                \
+            s.sum += of(w->steeper, k) * clamp(share, 0.0f, 1.0f) * (s.sum - 0.5f * (least + most));                   \
+        }                                                                                                              \
+        const F raised = s.sum < s.low ? s.low : s.sum;                                                                \
         return s.high < raised ? s.high : raised;                                                                      \
     }
 
-DEFINE_CUBIC(float4, CubicSums, add_column, sums_up)
-
+/* Of the pixel of lane k; and of those of part k, whose taps lie in rows. */
+#define OF_LANE(v, k) ((float4)(float_of(&(v), k)))
+#define load_run(i, image) load_texels(0, (image) + 4 * (i))
+DEFINE_CUBIC(float4, __global const half *, load_texel, OF_LANE, widen, CubicSums, add_column, cubic_of_lane)
 #if LANES == 8
-DEFINE_CUBIC(Texels, RunSums, add_run_column, run_sums_up)
+DEFINE_CUBIC(Texels, __global const half *, load_run, OF_TEXELS, widen_run, RunSums, add_run_column, cubic_of_run)
 #else
-#define RunSums CubicSums
-#define add_run_column add_column
-#define run_sums_up sums_up
+#define cubic_of_run cubic_of_lane
 #endif
-
-/* The pixels of a part, whose taps lie in a row from index `first` on. */
-INLINE Texels cubic_of_run(const int first, const Floats *wx, const Floats *wy, const int part, const int width,
-                           __global const half *image, const Floats steeper, const float per_range) {
-    const Texels rows[4] = {OF_TEXELS(wy[0], part), OF_TEXELS(wy[1], part), OF_TEXELS(wy[2], part),
-                            OF_TEXELS(wy[3], part)};
-    RunSums s;
-#pragma unroll
-    for (int tx = 0; tx < 4; ++tx) {
-        __global const half *p = image + 4 * (first + tx);
-        const Texels b = load_texels(0, p + 4 * width), c = load_texels(0, p + 8 * width);
-        const bool inner = tx == 1 || tx == 2;
-        const Texels a = inner ? load_texels(0, p) : b, d = inner ? load_texels(0, p + 12 * width) : c;
-        add_run_column(tx, a, b, c, d, OF_TEXELS(wx[tx], part), rows, &s);
-    }
-    return run_sums_up(s, OF_TEXELS(steeper, part), per_range);
-}
-
-/* The weights of lane k for rows of taps. */
-INLINE void rows_of_lane(const Floats *wy, const int k, float4 *rows) {
-    for (int ty = 0; ty < 4; ++ty) rows[ty] = (float4)(float_of(&wy[ty], k));
-}
-
-/* The same of the pixel of lane k from taps in any columns and rows, which begin at indices `rows`. */
-INLINE float4 cubic_of_lane(const int *columns, const int *rows, const Floats *wx, const Floats *wy, const int k,
-                            __global const half *image, const Floats steeper, const float per_range) {
-    float4 row_weights[4];
-    rows_of_lane(wy, k, row_weights);
-    CubicSums s;
-#pragma unroll
-    for (int tx = 0; tx < 4; ++tx) {
-        const float4 b = load_texel(rows[1] + columns[tx], image), c = load_texel(rows[2] + columns[tx], image);
-        const bool inner = tx == 1 || tx == 2;
-        const float4 a = inner ? load_texel(rows[0] + columns[tx], image) : b,
-                     d = inner ? load_texel(rows[3] + columns[tx], image) : c;
-        add_column(tx, a, b, c, d, (float4)(float_of(&wx[tx], k)), row_weights, &s);
-    }
-    return sums_up(s, (float4)(float_of(&steeper, k)), per_range);
-}

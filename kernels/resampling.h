@@ -4,35 +4,26 @@
 #include "cubic.h"
 
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
-#define SHARPER_SLOPE 0.12f /* by how much the cubic's slope grows for a sharpness of 1 */
+#define SHARPER_SLOPE 0.16f /* by how much the cubic's slope grows for a sharpness of 1 */
 #define STEEPER 0.2f /* by how much an edge is steepened for a sharpness of 1, midway between pixels */
 #define SHARP_AT_ONCE 2.0f /* times the measured sharpness at alpha = 0, ... */
 #define LESS_SHARP_LATER 1.2f /* ... and less by this at 1: places are less certain */
-#define FULL_RANGE 0.4f /* of colors, white being 1, between which edges are steepened in full */
-
-/* How much sharper than Catmull-Rom's is interpolation. */
-typedef struct {
-    float slope; /* of the cubic */
-    float steeper; /* by how much edges are steepened, midway between pixels */
-    float per_range; /* 1 / the range of codes from which on they are so in full */
-} Sharpening;
 
 /* Of this sharpness. */
 INLINE Sharpening sharpening(const float sharpness, const float code_offset) {
     const float white = code_offset > 0.0f ? 4.0f * code_offset * code_offset : 1.0f;
-    const Sharpening s = {CATMULL_ROM + SHARPER_SLOPE * sharpness, STEEPER * sharpness,
-                          divide(1.0f / FULL_RANGE, white)};
-    return s;
+    const Sharpening sharp = {CATMULL_ROM + SHARPER_SLOPE * sharpness, STEEPER * sharpness,
+                              divide(1.0f / (FULL_EDGE - LEAST_EDGE), white)};
+    return sharp;
 }
 
 /* Of a new frame after rendered ones of the measured sharpness (sharpness.cl), if any is measured. */
 INLINE Sharpening sharpening_of(__global const float *measured, __constant Frame *frame) {
-    if (!frame->sharpness) return sharpening(0.0f, frame->code_offset);
-    return sharpening(*measured * fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f), frame->code_offset);
+    const Sharpening none = NOT_STEEPER(CATMULL_ROM);
+    const float sharpness =
+        frame->sharpness ? *measured * fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f) : 0.0f;
+    return sharpness > 0.0f ? sharpening(sharpness, frame->code_offset) : none;
 }
-
-/* 1 midway between pixels, 0 at their centers. */
-#define MIDWAY(u, v) (1.0f - fabs(2.0f * (u) - 1.0f) * fabs(2.0f * (v) - 1.0f))
 
 /* Images of the rendered frame that its fragments bring along. */
 typedef struct {
@@ -74,17 +65,16 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
     s->v = dy - oy;
 }
 
+#define ROWS_OF_TAPS(tap, width) {(tap) - (width), tap, (tap) + (width), (tap) + 2 * (width)}
+
 /* Stores the colors of the lanes in `use`: a pixel of the rendered frame keeps its bits; cubic where the neighborhood
    moves alike; else bilinear over those of the four taps that move alike. A part whose taps lie in a row is made at
    once, others pixel by pixel. */
 INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
                            __global half *out_color) {
-    Floats wx[4], wy[4];
-    const Sharpening sharp = shown.sharpening;
-    cubic_weights(s.u, sharp.slope, wx);
-    cubic_weights(s.v, sharp.slope, wy);
-    leave_out_corners(wx, wy);
-    const Floats steeper = sharp.steeper * MIDWAY(s.u, s.v);
+    Cubic cubic;
+    cubic_between(s.u, s.v, shown.sharpening, &cubic);
+    const int columns[4] = {-1, 0, 1, 2};
     const Ints exact = (s.tap == s.src) & (s.u == 0.0f) & (s.v == 0.0f), whole = !exact & (s.alike == ALL_ALIKE);
     const Ints in_row = use & (s.tap == ROWS_OF_PARTS(s.tap));
 #pragma unroll
@@ -92,9 +82,9 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
         const int lane = part * TEXELS, first = int_of(&s.tap, lane);
         const bool copied = ALL_OF_PART(in_row & exact, part);
         if (copied || ALL_OF_PART(in_row & whole, part)) {
+            const int rows[4] = ROWS_OF_TAPS(first, source_width);
             Texels c = copied ? load_texels(0, shown.color + 4 * first)
-                              : cubic_of_run(first - source_width - 1, wx, wy, part, source_width, shown.codes, steeper,
-                                             sharp.per_range);
+                              : cubic_of_run(columns, rows, &cubic, part, shown.codes);
             VALID(c) = 0.0f;
             if (!copied) c = decode_texels(c, shown.code_offset);
             VALID(c) = 0.0f;
@@ -108,10 +98,8 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
             if (LANES > 1 && int_of(&exact, k)) {
                 c = load_color(shown.color, src);
             } else if (LANES > 1 && int_of(&whole, k)) {
-                const int columns[4] = {tap - 1, tap, tap + 1, tap + 2};
-                const int rows[4] = {-source_width, 0, source_width, 2 * source_width};
-                c = decode_color(cubic_of_lane(columns, rows, wx, wy, k, shown.codes, steeper, sharp.per_range).xyz,
-                                 shown.code_offset);
+                const int rows[4] = ROWS_OF_TAPS(tap, source_width);
+                c = decode_color(cubic_of_lane(columns, rows, &cubic, k, shown.codes).xyz, shown.code_offset);
             } else {
                 c = of_those_alike(int_of(&s.alike, k), tap, float_of(&s.u, k), float_of(&s.v, k), source_width, src,
                                    shown);

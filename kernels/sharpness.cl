@@ -8,7 +8,6 @@
 #include "resampling.h"
 
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
-#define SAMPLES_EACH 2 /* rows of samples of a work-item, which takes as many columns */
 #define SAME_SHAPE 0.2f /* relative range of depths of one surface around a sample */
 #define EVIDENCE_KEPT 0.75f /* of the evidence of the frame before */
 #define LEAST_EVIDENCE 0.02f /* with as much evidence, half of the sharpness found counts */
@@ -20,6 +19,14 @@
    times itself. Of `pending` also the number of work-groups that have added theirs. */
 enum { EXPLAINED, CHANGED, ADDED };
 
+/* Cubic interpolation of the codes of an image in linear light. */
+typedef struct {
+    __global const half *color;
+    float code_offset;
+} Linear;
+#define load_code_of(i, image) ((float4)(load_code((image).color, i, (image).code_offset), 0.0f))
+DEFINE_CUBIC(float4, const Linear, load_code_of, OF_LANE, widen_linear, LinearSums, add_linear_column, cubic_of_linear)
+
 /* Adds a sample at (x, y), white being 1: `sums` by EXPLAINED and CHANGED. */
 INLINE void compare(const int x, const int y, __constant Frame *frame, __global const half *color,
                     __global const float *depth, __global const float2 *motion, __global const uchar *dynamic_mask,
@@ -30,69 +37,55 @@ INLINE void compare(const int x, const int y, __constant Frame *frame, __global 
     const float3 px = dynamic_mask[src] == STATIC ? reproject(pixel_center(x, y), z, frame->to_previous)
                                                   : (float3)(pixel_center(x, y) + motion[src], z);
     if (!(px.z > 0.0f && holds(width, height, px.xy))) return;
-    const int left = (int)floor(px.x - 0.5f), top = (int)floor(px.y - 0.5f), first = (top - 1) * width + left - 1;
+    const int left = (int)floor(px.x - 0.5f), top = (int)floor(px.y - 0.5f);
     if (!(left >= 1 && top >= 1 && left < width - 2 && top < height - 2)) return;
     for (int k = 0; k < 4; ++k) {
         const float met = depth_prev[(top + (k >> 1)) * width + left + (k & 1)];
         if (!is_same_surface(met, px.z, SAME_SHAPE * px.z)) return;
     }
     const float u = px.x - 0.5f - (float)left, v = px.y - 0.5f - (float)top;
-    const Sharpening sharp[2] = {sharpening(0.0f, offset), sharpening(1.0f, offset)};
-    Floats wx[2][4];
-    float4 rows[2][4];
-    for (int k = 0; k < 2; ++k) {
-        Floats wy[4];
-        cubic_weights((Floats)(u), sharp[k].slope, wx[k]);
-        cubic_weights((Floats)(v), sharp[k].slope, wy);
-        leave_out_corners(wx[k], wy);
-        rows_of_lane(wy, 0, rows[k]);
-    }
-    CubicSums made[2];
-    for (int tx = 0; tx < 4; ++tx) {
-        float4 taps[4];
-        for (int ty = 0; ty < 4; ++ty)
-            taps[ty] = (float4)(load_code(color_prev, first + ty * width + tx, offset), 0.0f);
-        for (int k = 0; k < 2; ++k)
-            add_column(tx, taps[0], taps[1], taps[2], taps[3], (float4)(float_of(&wx[k][tx], 0)), rows[k], made + k);
-    }
-    float3 codes[2];
-    for (int k = 0; k < 2; ++k)
-        codes[k] = sums_up(made[k], (float4)(sharp[k].steeper * MIDWAY(u, v)), sharp[k].per_range).xyz;
-    const float per_white = sharp[0].per_range * FULL_RANGE;
-    const float3 now = load_code(color, src, offset) * per_white;
-    const float3 off = fmin(now, 1.0f) - fmin(codes[0] * per_white, 1.0f), change = (codes[1] - codes[0]) * per_white;
+    if (u == 0.0f && v == 0.0f) return; /* nothing changes at the centers of pixels */
+    const Linear before = {color_prev, offset};
+    const int columns[4] = {-1, 0, 1, 2}, rows[4] = ROWS_OF_TAPS(top * width + left, width);
+    const Sharpening none = NOT_STEEPER(CATMULL_ROM), sharp = sharpening(1.0f, offset);
+    Cubic cubic;
+    cubic_between((Floats)(u), (Floats)(v), none, &cubic);
+    const float3 plain = cubic_of_linear(columns, rows, &cubic, 0, before).xyz;
+    cubic_between((Floats)(u), (Floats)(v), sharp, &cubic);
+    const float3 steeper = cubic_of_linear(columns, rows, &cubic, 0, before).xyz;
+    const float per_white = sharp.per_range * (FULL_EDGE - LEAST_EDGE);
+    const float3 now = load_code(color, src, offset) * per_white, change = (steeper - plain) * per_white;
+    const float3 off = fmin(now, 1.0f) - fmin(plain * per_white, 1.0f);
     sums[EXPLAINED] += off.x * change.x + off.y * change.y + off.z * change.z;
     sums[CHANGED] += change.x * change.x + change.y * change.y + change.z * change.z;
 }
 
-/* A row of samples per work-group, SAMPLES_EACH each way per work-item. The last group finds the sharpness. */
+/* A sample per work-item, a row of them per work-group. The last group finds the sharpness. */
 __kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1))) void
 measure_sharpness(__constant Frame *restrict frame, __global const half *color, __global const float *depth,
                   __global const float2 *motion, __global const uchar *dynamic_mask, __global const half *color_prev,
                   __global const float *depth_prev, __global int *pending, __global float *evidence,
                   __global float *sharpness) {
     const int width = frame->source_width, height = frame->source_height, item = get_local_id(0);
-    const int columns = min(width, SAMPLES_EACH * SAMPLES_X), groups = min(height, SAMPLES_Y),
-              rows = min(height, SAMPLES_EACH * groups);
+    const int columns = min(width, SAMPLES_X), rows = min(height, SAMPLES_Y), row = get_global_id(1);
     __local int of_group[2];
     if (item < 2) of_group[item] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     float sums[2] = {0.0f, 0.0f};
-    for (int row = get_global_id(1); frame->has_previous && row < rows; row += groups)
-        for (int column = item; column < columns; column += SAMPLES_X)
-            compare((2 * column + 1) * width / (2 * columns), (2 * row + 1) * height / (2 * rows), frame, color, depth,
-                    motion, dynamic_mask, color_prev, depth_prev, sums);
+    if (frame->has_previous && item < columns)
+        compare((2 * item + 1) * width / (2 * columns), (2 * row + 1) * height / (2 * rows), frame, color, depth,
+                motion, dynamic_mask, color_prev, depth_prev, sums);
     for (int k = 0; k < 2; ++k) atomic_add(of_group + k, (int)floor(UNIT * sums[k] + 0.5f));
     barrier(CLK_LOCAL_MEM_FENCE);
     if (item) return;
     if (!frame->has_previous) {
-        if (get_global_id(1) == 0) evidence[EXPLAINED] = evidence[CHANGED] = *sharpness = 0.0f;
+        if (row == 0) evidence[EXPLAINED] = evidence[CHANGED] = *sharpness = 0.0f;
         return;
     }
     /* A group counts itself only by the values that its additions return: so the last one misses none. */
     const int explained = atomic_add(pending + EXPLAINED, of_group[EXPLAINED]),
               changed = atomic_add(pending + CHANGED, of_group[CHANGED]);
-    if (atomic_add(pending + ADDED, 1 + (changed < 0) + (explained == INT_MIN)) != groups - 1) return;
+    if (atomic_add(pending + ADDED, 1 + (changed < 0) + (explained == INT_MIN)) != rows - 1) return;
     const float new_explained = (float)atomic_xchg(pending + EXPLAINED, 0) * (1.0f / UNIT),
                 new_changed = (float)atomic_xchg(pending + CHANGED, 0) * (1.0f / UNIT);
     atomic_xchg(pending + ADDED, 0);

@@ -69,10 +69,9 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     const Floats corner_x = (use ? px_x : (Floats)(0.5f)) - 0.5f, corner_y = (use ? px_y : (Floats)(0.5f)) - 0.5f;
     const Floats first_x = floor(corner_x), first_y = floor(corner_y);
     const Ints x = to_ints(first_x) - 1, y = to_ints(first_y) - 1;
-    Floats wx[4], wy[4];
-    cubic_weights(corner_x - first_x, slope, wx);
-    cubic_weights(corner_y - first_y, slope, wy);
-    leave_out_corners(wx, wy);
+    const Sharpening sharp = NOT_STEEPER(slope);
+    Cubic cubic;
+    cubic_between(corner_x - first_x, corner_y - first_y, sharp, &cubic);
     const Ints first = y * width + x;
     const Ints in_row =
         use & (first == ROWS_OF_PARTS(first)) & (x >= 0) & (y >= 0) & (x + 4 <= width) & (y + 4 <= height);
@@ -81,8 +80,9 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     for (int part = 0; part < PARTS; ++part) {
         const int lane = part * TEXELS;
         if (LANES > 1 && ALL_OF_PART(in_row, part)) {
-            unload_texels(cubic_of_run(int_of(&first, lane), wx, wy, part, width, image, (Floats)(0.0f), NOT_STEEPER),
-                          part, texels);
+            const int at = int_of(&first, lane), columns[4] = {0, 1, 2, 3};
+            const int rows[4] = {at, at + width, at + 2 * width, at + 3 * width};
+            unload_texels(cubic_of_run(columns, rows, &cubic, part, image), part, texels);
             continue;
         }
         for (int k = lane; k < lane + TEXELS; ++k) {
@@ -93,7 +93,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                     columns[tap] = clamp(int_of(&x, k) + tap, 0, width - 1);
                     rows[tap] = clamp(int_of(&y, k) + tap, 0, height - 1) * width;
                 }
-                c = cubic_of_lane(columns, rows, wx, wy, k, image, (Floats)(0.0f), NOT_STEEPER);
+                c = cubic_of_lane(columns, rows, &cubic, k, image);
             }
             vstore4(c, k, texels);
         }
