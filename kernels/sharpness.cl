@@ -9,9 +9,9 @@
 
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
 #define SAME_SHAPE 0.2f /* relative range of depths of one surface around a sample */
-#define EVIDENCE_KEPT 0.75f /* of the evidence of the frame before */
-#define LEAST_EVIDENCE 0.02f /* with as much evidence, half of the sharpness found counts */
-#define DOUBT 0.1f /* of the sharpness found, by which it may be too much */
+#define EVIDENCE_KEPT 0.9f /* of the evidence of the frame before */
+#define LEAST_EVIDENCE 0.005f /* with as much evidence, half of the sharpness found counts */
+#define DOUBT 0.05f /* of the sharpness found, by which it may be too much */
 #define SHARPEST 2.0f
 #define UNIT 65536.0f /* of sums in integers, which depend on no order */
 

@@ -11,8 +11,7 @@ SHARPNESS = kernel_constants("sharpness.cl")
 def compare(color, depth, motion, dynamic, color_prev, depth_prev, to_previous):
     """Return the sums (explained, changed) over the samples of a rendered frame."""
     height, width = depth.shape
-    each = SHARPNESS.SAMPLES_EACH
-    columns, rows = (min(n, each * most) for n, most in ((width, SHARPNESS.SAMPLES_X), (height, SHARPNESS.SAMPLES_Y)))
+    columns, rows = min(width, SHARPNESS.SAMPLES_X), min(height, SHARPNESS.SAMPLES_Y)
     y, x = (
         n.ravel()
         for n in np.meshgrid(

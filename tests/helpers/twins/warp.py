@@ -274,13 +274,14 @@ def cubic_of(taps, u, v, sharpness):
             column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
         cubic = cubic + wx[tx][..., None] * column
     used = np.stack([taps[ty, tx] for ty in range(4) for tx in range(4) if ty in (1, 2) or tx in (1, 2)])
-    least, most = used.min(0), used.max(0)
-    midway = F(1) - np.abs(F(2) * u - F(1)) * np.abs(F(2) * v - F(1))
-    share = np.minimum((most - least) * (F(1 / WARP.FULL_RANGE) / white()), F(1))
-    amount = (WARP.STEEPER * sharpness * midway)[..., None]
-    cubic = cubic + amount * share * (cubic - F(0.5) * (least + most))
     inner = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
-    return np.clip(cubic, inner.min(0), inner.max(0))
+    low, high = inner.min(0), inner.max(0)
+    span = WARP.FULL_EDGE - WARP.LEAST_EDGE
+    share = np.clip((high - low) * (F(1 / span) / white()) - F(WARP.LEAST_EDGE / span), F(0), F(1))
+    midway = F(1) - np.abs(F(2) * u - F(1)) * np.abs(F(2) * v - F(1))
+    amount = (WARP.STEEPER * sharpness * midway)[..., None]
+    cubic = cubic + amount * share * (cubic - F(0.5) * (used.min(0) + used.max(0)))
+    return np.clip(cubic, low, high)
 
 
 def resampled(taps, alike, u, v, own, sharpness):
