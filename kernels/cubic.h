@@ -69,6 +69,7 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
         s->sum = tx == 0 ? of(w->x[0], k) * sum : s->sum + of(w->x[tx], k) * sum;                                      \
     }                                                                                                                  \
     INLINE F cubic(const int *columns, const int *rows, const Cubic *w, const int k, Image image) {                    \
+        const int first = rows[1] + columns[1], width = rows[2] - rows[1];                                             \
         Sums s;                                                                                                        \
         add_column(0, columns[0], rows, w, k, image, &s);                                                              \
         add_column(1, columns[1], rows, w, k, image, &s);                                                              \
@@ -77,10 +78,11 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
         const F share = (s.high - s.low) * w->per_range - LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                       \
         if (any(share > 0.0f)) {                                                                                       \
             F least = s.low, most = s.high;                                                                            \
-            widen(load(rows[1] + columns[0], image), load(rows[2] + columns[0], image), &least, &most);                \
-            widen(load(rows[0] + columns[1], image), load(rows[3] + columns[1], image), &least, &most);                \
-            widen(load(rows[0] + columns[2], image), load(rows[3] + columns[2], image), &least, &most);                \
-            widen(load(rows[1] + columns[3], image), load(rows[2] + columns[3], image), &least, &most);                \
+            _Pragma("unroll 1") for (int tap = 0; tap < 4; ++tap) { /* again: to keep them takes as many registers */  \
+                const int across = tap & 1, far = 3 * (tap >> 1) - 1;                                                  \
+                widen(load(first + across + far * width, image), load(first + far + across * width, image), &least,    \
+                      &most);                                                                                          \
+            }                                                                                                          \
             s.sum += of(w->steeper, k) * clamp(share, 0.0f, 1.0f) * (s.sum - 0.5f * (least + most));                   \
         }                                                                                                              \
         const F raised = s.sum < s.low ? s.low : s.sum;                                                                \

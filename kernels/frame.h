@@ -64,10 +64,10 @@ typedef struct {
     int softens; /* whether silhouettes are made soft */
     int bends; /* whether movers' acceleration continues */
     int collects; /* whether there is a background */
-    int sharpness; /* whether it is measured, and new frames are resampled with it */
     int dilates; /* whether the dilated warp makes the new frame */
     int detects; /* whether samples are counted that tell a cut */
     int automatic; /* whether the static threshold follows from the frame */
+    int sharpness; /* whether it is measured, and new frames are resampled with it */
 } Frame;
 
 /* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */
