@@ -4,29 +4,21 @@ through all other commands, which read sequences in the same way."""
 
 import json
 import math
-import os
 import shutil
-import subprocess
-import sys
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
 import pytest
 from engine_buffers import stored
 from parameters import few
-from PIL import Image
 
 from gffe_cl import FrameFormat, Overlays, SequenceWriter, named_channels, open_sequence
 from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.captures.sequence.encoding import PARTS, PRESETS
-from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.cli import main
 from gffe_cl.engine.frame.frame_format import CHOICES
 from gffe_cl.engine.frame.transfer_function import to_display
-from gffe_cl.engine.timing import bench
 
-GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()"]
-XVFB = ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24"]
 W, H, FRAMES = 96, 54, 5
 HALF, THIRD = (W // 2, H // 2), (W // 3, H // 3)
 JITTERS = [(0.0, 0.0), (0.25, -0.5), (-0.375, 0.125), (0.5, 0.25), (-0.25, -0.25)]  # pixels of color
@@ -339,55 +331,3 @@ def test_export(made, name, tmp_path):
         assert np.frombuffer(read["depth"], np.float32).reshape(H, W).tobytes() == frame.depth.tobytes()
         motion = np.zeros((H, W, 2), np.float32) if frame.motion is None else frame.motion
         np.testing.assert_array_equal(np.frombuffer(read["motion"], np.float32).reshape(H, W, 2), motion)
-
-
-@representatives
-def test_bench(made, name, tmp_path, monkeypatch):
-    monkeypatch.setattr(bench, "_COPY_BYTES", 1 << 20)
-    report = tmp_path / "bench.json"
-    assert call("bench", made.sequence(name), "--repeats", 1, "--no-scn", "--json", report) == 0
-    assert report.exists()
-
-
-@representatives
-@pytest.mark.long
-def test_eval(made, name, tmp_path):
-    """The table's pipeline is that of `gffe run`: as good, against the same truth."""
-    given, out, report = made.sequence(name), tmp_path / "out", tmp_path / "compare.json"
-    assert call("eval", given, "--methods", "gffe", "--out", tmp_path / "table") == 0
-    assert call("run", given, out, "--no-scn", "--no-check") == 0
-    assert call("compare", out, given, "--json", report) == 0
-    known = {round(frame["time"], 6): frame["psnr"] for frame in json.loads(report.read_text())["frames"]}
-    (cell,) = json.loads((tmp_path / "table/results.json").read_text())["cells"]
-    assert len(cell["frames"]) == FRAMES - 3
-    for frame in cell["frames"]:
-        assert frame["psnr"] == pytest.approx(known[round(frame["time"], 6)], abs=0.01)
-
-
-@representatives
-@pytest.mark.long
-def test_view(made, name, tmp_path):
-    """The viewer reads the same frames, makes the same new one, and saves both as EXR."""
-    given, script, shot = open_sequence(made.sequence(name)), tmp_path / "steps.txt", tmp_path / "shot.png"
-    script.write_text(f"seek 2\ndo save_exr\nwait done\nseek 2+1/2\ndo save_exr\nwait done\nshot {shot}\n")
-    environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path), "LIBGL_ALWAYS_SOFTWARE": "1"}
-    child = subprocess.run(
-        [*XVFB, *GFFE, "view", given.path, "--script", script, "--no-scn", "--no-check"],
-        env=environment, cwd=tmp_path, capture_output=True, text=True, timeout=200,
-    )  # fmt: skip
-    assert child.returncode == 0 and not child.stderr, child.stderr
-    at_rendered, at_new = sorted(tmp_path.glob("*_layers"))
-    frame = given.read(given.rendered[1])
-    np.testing.assert_allclose(layer(at_rendered, "rendered.depth", "Y")[..., 0], frame.depth, rtol=1e-5)
-    np.testing.assert_allclose(layer(at_rendered, "rendered.motion", "xy"), frame.motion, atol=1e-3)
-    np.testing.assert_array_equal(layer(at_rendered, "rendered.color", "RGB"), frame.color)
-    assert call("run", given.path, tmp_path / "out", "--no-scn", "--no-check") == 0
-    run = open_sequence(tmp_path / "out")
-    colors = layer(at_new, "final", "RGB"), run.read_color(run.extrapolated[2])
-    off = np.abs(np.subtract(*(to_display(color, given.exposure) for color in colors)))
-    assert off.mean() < 1e-3 and Image.open(shot).size[0] > W
-
-
-def layer(folder, name, channels):
-    """Return a saved layer (H, W, C)."""
-    return np.stack([*read_channels(folder / f"{name}.exr", list(channels), name).values()], -1)

@@ -38,14 +38,6 @@ def test_panda3d_gains_over_repeating(tmp_path, words, gain):
     assert min(figures["gffe"], figures["gffe_network"]) > figures["repeat"] + gain
 
 
-@pytest.mark.long
-def test_panda3d_plays():
-    pytest.importorskip("panda3d")
-    found = _run("panda3d_live.py", "--frames", "30")
-    assert found.returncode == 0, found.stderr
-    assert "render " in found.stdout and "extrapolated=" in found.stdout
-
-
 _EVENTS = """
 import sys
 from types import SimpleNamespace

@@ -1,5 +1,6 @@
 """Short sequences for tests of the doctor, exact in everything, and what it says of them."""
 
+import json
 from functools import cache
 
 import numpy as np
@@ -99,3 +100,26 @@ def written(folder, kept):
             frame = kept.read(entry)
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
     return folder
+
+
+def as_folder(folder, kept, **parts):
+    """Return a `gffe-folder` that says of `kept` that it is in our conventions, less what `parts` say."""
+    folder.mkdir()
+    for number, frame in enumerate(kept.images):
+        for name in ("color", "depth", "motion"):
+            np.save(folder / f"{name}_{number}.npy", getattr(frame, name).astype(np.float32))
+    views = [{"view": f.camera.world_to_view.tolist(), "fx": f.camera.fx} for f in kept.images]
+    document = {"format": "gffe-folder", "version": 1, "width": W, "height": H, "fps": 30}
+    document |= {"frames": {"first": 0, "count": len(views)}, "camera": {"list": views}}
+    document |= {name: {"file": f"{name}_%d.npy"} for name in ("color", "depth", "motion")}
+    (folder / "sequence.json").write_text(json.dumps(document | parts))
+    return folder
+
+
+def follow_advice(folder, findings):
+    """Change the keys of a `gffe-folder` as `findings` say."""
+    document = json.loads((folder / "sequence.json").read_text())
+    for finding in findings:
+        part, _, keys = finding.change.partition(": ")
+        document[part] |= json.loads("{" + keys + "}")
+    (folder / "sequence.json").write_text(json.dumps(document))

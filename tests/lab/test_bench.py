@@ -86,7 +86,7 @@ def test_bench_of_upscaling(gffe, tmp_path):
         assert parts["GAE"] == pytest.approx(sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling")))
 
 
-def test_bench_of_a_sequence(gffe, tmp_path, small_copies):
+def test_bench_of_a_sequence(gffe, tmp_path):
     tiny_sequence.write(tmp_path / "in", frames=5)
     code, text, _ = gffe("bench", tmp_path / "in", "--repeats", 2, "--kernels", "--json", tmp_path / "b.json")
     assert code == 0 and "13×9" in text and "warp.resolve" in text and "commands" in text
@@ -183,7 +183,7 @@ def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):
         (("--repeats", 0), "--repeats must be at least 1"),
     ],
 )
-def test_bench_refuses(gffe, options, complaint, small_copies):
+def test_bench_refuses(gffe, options, complaint):
     code, _, err = gffe("bench", *options)
     assert code == 2 and complaint in err and len(err.splitlines()) == 1
 
@@ -203,8 +203,8 @@ def test_growth():
     assert bench_module.growth([result(100, 50.0)]) is None
 
 
-@pytest.fixture
-def small_copies(monkeypatch):
+@pytest.fixture(autouse=True)
+def _small_copies(monkeypatch):
     monkeypatch.setattr(bench_module, "_COPY_BYTES", 1 << 22)
 
 

@@ -1,12 +1,9 @@
 """The table of `gffe eval`: subjects, methods, cells that are kept, the command."""
 
 import json
-import os
 import re
 import shutil
-import signal
 import subprocess
-import sys
 import time
 from dataclasses import replace
 from importlib.resources import files
@@ -194,34 +191,6 @@ def test_an_interrupt_leaves_finished_cells(tmp_path, monkeypatch):
     assert filled.computed == 2 and len(filled.cells) == 3
     html = page(results.results_of(filled), filled)
     assert "motion vectors in image space" in html
-
-
-@pytest.mark.long
-@pytest.mark.slow
-def test_a_killed_command_leaves_finished_cells(tmp_path):
-    arguments = (
-        "room",
-        "--size",
-        "160x90",
-        "--frames",
-        "12",
-        "--methods",
-        "baseline,deviation",
-        "--out",
-        str(tmp_path),
-    )
-    command = [sys.executable, "-m", "gffe_cl", "eval", *arguments]
-    child = subprocess.Popen(command, stdout=subprocess.DEVNULL, stderr=subprocess.DEVNULL)
-    cells = tmp_path / "cells"
-    deadline = time.monotonic() + 300
-    while child.poll() is None and len(list(cells.glob("*.shown.webp"))) < 2 and time.monotonic() < deadline:
-        time.sleep(0.05)
-    assert child.poll() is None, "it was too quick to be killed"
-    os.kill(child.pid, signal.SIGKILL)
-    child.wait()
-    kept = cache.Cache(cells)
-    names = [path.stem for path in cells.glob("*.json") if not path.name.endswith(".time.json")]
-    assert len(names) >= 2 and all(kept.read(name) for name in names)
 
 
 @pytest.mark.skipif(shutil.which("node") is None, reason="no Node.js to run the page's script")

@@ -267,16 +267,6 @@ def test_invalid_pixels_of_the_input_are_marked_in_every_layer(canvas):
     assert (is_checkered(drawn(canvas, view, (48, 36))) == seen.repeat(3, 0).repeat(3, 1)).all()
 
 
-def test_a_single_invalid_pixel_is_seen_in_a_small_picture(canvas):
-    seen = np.zeros((256, 256), bool)
-    seen[101, 77] = True
-    with_masks(canvas, seen, seen)
-    canvas.upload("final", np.full((256, 256), 0.5, np.float32), replace(SCALAR, name="final"))
-    made = drawn(canvas, View("final", Display(), center=(128, 128), zoom=0.125), (32, 32))
-    at = np.argwhere(is_checkered(made))
-    assert 4 <= len(at) <= 64 and np.abs(at.mean(0) + 0.5 - np.array((101, 77)) / 8).max() < 2
-
-
 @pytest.mark.parametrize("at", [(0, 0), (101, 77), (200, 300)])
 def test_a_mark_does_not_depend_on_means_of_bytes(canvas, at):
     """At a sixtieth of the size the mean of a single one is less than half a level of a byte."""
@@ -599,12 +589,6 @@ def test_error_map_of_depth_and_labels(canvas):
     close(drawn(canvas, view, (5, 1))[0], mapped(np.array([0, 1, 0, 0, 0]), "heat"), 2)
 
 
-def test_error_of_nothing_is_the_background(canvas, pair):
-    view, _, _ = pair
-    for compare in ("difference", "error"):
-        close(drawn(canvas, replace(view, compare=compare, b="absent", background=(0, 0, 1)), (24, 18)), (0, 0, 1))
-
-
 # ---- overlays ------------------------------------------------------------------------------------------
 
 
@@ -841,19 +825,9 @@ def test_uncovered_rectangles_and_covers_are_the_whole():
 # ---- a real pipeline -----------------------------------------------------------------------------------
 
 
-def test_layers_of_the_network_line_up_with_the_picture(canvas):
-    size = (61, 37)
-    canvas.frame = FrameInfo(size)
-    texels = RNG.uniform(0, 1, (2, 32, 32)).astype(np.float32)
-    spec = LayerSpec("n", "N", "g", "scalar", planes=2, grid="network")
-    canvas.upload("n", texels, spec)
-    y, x = np.mgrid[: size[1], : size[0]] // 2
-    for plane in range(2):
-        image = drawn(canvas, View("n", Display(plane=plane, color_map="gray"), center=(30.5, 18.5)), size)
-        close(image, np.repeat(texels[plane, y, x][..., None], 3, -1), 1.5)
-
-
-@pytest.mark.parametrize("grid", ["source", "target", "level2", "cells", "residuals", "target_blocks", "downsampled"])
+@pytest.mark.parametrize(
+    "grid", ["source", "target", "level2", "cells", "residuals", "target_blocks", "downsampled", "network"]
+)
 def test_a_texel_is_shown_where_its_pixels_are(canvas, grid):
     """Also of an image whose sides are no multiple of the texels: the picture shows what inspection reads."""
     size = (61, 37)

@@ -6,7 +6,6 @@ import threading
 import time
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -27,7 +26,6 @@ from gffe_cl import (
 from gffe_cl.captures.offline.source import Live, Recorded
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.frame.window import WindowChooser
-from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.lab.metrics import focus_mask
@@ -675,38 +673,6 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
         (folder / "warp.cl").write_text(warp)
         wait_for(lambda: engine.builds)
         assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all() and engine.build_error is None
-
-
-@pytest.mark.long
-def test_kernels_of_shading_correction_are_reloaded(device, tmp_path, monkeypatch):
-    """Without a model they are not built; with one as all others."""
-    folder = tmp_path / "kernels"
-    shutil.copytree(kernel_folder(), folder)
-    monkeypatch.setenv("GFFE_KERNELS", str(folder))
-    path, text = folder / "correction.cl", (folder / "correction.cl").read_text()
-    with running(lambda: Device(device.cl_device, device.info, profiling=True), FadingClip()) as engine:
-        ask(engine, 13, Setup(), ("final",))
-        path.write_text(text + "nonsense\n")
-        reload_kernels(engine)
-        assert engine.build_error is None
-        path.write_text(text)
-        reload_kernels(engine)
-        monkeypatch.setattr(inference, "default_model", lambda: network)
-        network, setup = Path(movers_model(tmp_path / "m.onnx")), Setup(Options(shading_correction=True))
-        good = ask(engine, 13, setup, ("final", "gae")).images
-        assert (good["final"] != good["gae"]).any()
-        path.write_text(text + "nonsense\n")
-        wait_for(lambda: "correction.cl:" in (engine.build_error or ""))  # the file may be seen while it is empty
-        assert f"correction.cl:{text.count(chr(10)) + 1}" in engine.build_error
-        assert ask(engine, 13, setup, ("final",)).images["final"].tobytes() == good["final"].tobytes()
-        path.write_text(text.replace("{c.r * rest", "{0.5f + c.r * rest"))
-        wait_for(lambda: engine.build_error is None)
-        changed = ask(engine, 13, setup, ("final", "gae")).images
-        different = (changed["final"] != good["final"]).any(-1)
-        assert different.any() and not different.all()
-        path.write_text(text)
-        reload_kernels(engine)
-        assert ask(engine, 13, setup, ("final", "gae")).images["final"].tobytes() == good["final"].tobytes()
 
 
 # ---- sources ----------------------------------------------------------------------------------------------

@@ -7,47 +7,21 @@ are kept in the folder GFFE_ARTIFACTS, if that is set.
 import json
 import os
 import shutil
-import subprocess
-import sys
 import time
 from pathlib import Path
 
 import numpy as np
 import pytest
+from xvfb import require_screen, run_window
 
 pytestmark = pytest.mark.long
-
-FRAME = ("rendered.", "truth", "presentation.")
-# layers that are made anew for every generated frame
-LEFT_BY_BACKGROUND = tuple(f"background.{name}" for name in ("color", "depth", "motion", "filled_by"))
-AFTER_SUBMIT = (
-    *("frame.", "backward_blocks.", "warp.", "hidden_parts.", *LEFT_BY_BACKGROUND, "holes.", "silhouettes."),
-    *("shading.", "shading_trend.trends", "final", "focus_truth"),
-)
-
-
-def _start(arguments: list[str], environment: dict[str, str], folder: Path) -> float:
-    """Runs viewer_gui_case.py; returns when it ended."""
-    script = str(Path(__file__).with_name("viewer_gui_case.py"))
-    child = subprocess.run(
-        ["xvfb-run", "-a", "-s", "-screen 0 1920x1200x24", sys.executable, script, *arguments],
-        env=environment,
-        cwd=folder,
-        capture_output=True,
-        text=True,
-        timeout=900,
-    )
-    assert child.returncode == 0, f"{child.stdout[-3000:]}\n{child.stderr[-3000:]}"
-    return time.time()
 
 
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     """What the cases saw, by their names; of "leave first" and "leave second" also "exit", seconds from closing to the
     end of the process, and the hidden files that are "left over"."""
-    if shutil.which("xvfb-run") is None:
-        assert not os.environ.get("CI"), "CI must have xvfb-run"
-        pytest.skip("xvfb-run is not installed")
+    require_screen()
     from gffe_cl.engine.opencl.program import kernel_folder
 
     folder = tmp_path_factory.mktemp("gui")
@@ -57,14 +31,12 @@ def seen(tmp_path_factory):
     for old in artifacts.glob("*.png"):
         old.unlink()
     shutil.copytree(kernel_folder(), folder / "kernels")
-    environment = os.environ | {
-        "GFFE_KERNELS": str(folder / "kernels"),
-        "XDG_CONFIG_HOME": str(folder / "config"),
-        "LIBGL_ALWAYS_SOFTWARE": "1",
-    }
+    script = Path(__file__).with_name("viewer_gui_case.py")
+    environment = {"GFFE_KERNELS": str(folder / "kernels"), "XDG_CONFIG_HOME": str(folder / "config")}
     found = {}
     for phase in ("make", "first", "second"):
-        ended = _start([phase, str(folder), str(artifacts)], environment, folder / "working")
+        run_window(script, phase, folder, artifacts, folder=folder / "working", timeout=900, **environment)
+        ended = time.time()
         if phase != "make":
             report = json.loads((folder / f"{phase}.json").read_text())
             shutil.copy(folder / f"{phase}.json", artifacts)
@@ -86,11 +58,6 @@ def values(request, seen):
     return seen[name]["values"]
 
 
-def starts(name, beginnings):
-    """Whether it is one of `beginnings`, or in a group of those that end with a dot."""
-    return any(name.startswith(start) if start.endswith(".") else name == start for start in beginnings)
-
-
 def test_playback(values):
     assert values["plays after the button"] and not values["plays after the button again"]
     assert values["slots seen"] >= 2
@@ -98,125 +65,40 @@ def test_playback(values):
     expected = {"Right": 6, "Left": 5, "Shift+Right": 6, "Shift+Left": 4, "End": 15, "Home": 0}
     assert values["slots after keys"] == {name: [slot, slot] for name, slot in expected.items()}
     assert values["slot after the step button"] == 1
+    assert values["points"] == [[4, 9], [0, 15]]
 
 
-def test_scrubbing(values):
-    slots, last = values["slots"], values["last"]
-    assert not values["playing while scrubbing"] and not values["playing afterwards"]
-    assert slots[:3] == sorted(set(slots[:3])) and slots[3:5] == [last, last] and slots[6:] == [0, 0]
-    assert values["shown afterwards"] == 0
-
-
-def test_in_and_out(values):
-    assert values["points"] == [4, 9]
-    slots = values["looped"]
-    assert set(slots) <= set(range(4, 10))
-    assert all(b == (a + 1 if a < 9 else 4) for a, b in zip(slots, slots[1:], strict=False)), slots
-    assert len(slots) > 8
-    assert values["stopped at"] == 9
-    assert values["cleared"] == [0, 15, 16]
-
-
-@pytest.mark.parametrize(
-    "module, may, must, gone",
-    [
-        (
-            "motion estimation",
-            (
-                *AFTER_SUBMIT,
-                "history.",
-                "acceleration.",
-                "connectivity.",
-                "prediction.",
-                "background.",
-                "shading_trend.",
-            ),
-            ("history.dynamic_mask", "prediction.target_position", "frame.dynamic", "final"),
-            ("hidden_parts.", "acceleration.", "warp.dynamic"),
-        ),
-        ("background collection", AFTER_SUBMIT, ("frame.filled_by", "frame.color", "final"), ("background.", "warp.")),
-        (
-            "crack closing",
-            AFTER_SUBMIT,
-            ("frame.filled_by", "frame.disoccluded", "frame.color", "final"),
-            ("backward_blocks.reach",),
-        ),
-        (
-            "hole filling",
-            (
-                *("frame.", "warp.filled_by", "hidden_parts.filled_by", "background.filled_by", "silhouettes."),
-                *("shading.", "shading_trend.trends", "final", "focus_truth"),
-            ),
-            ("frame.color", "frame.depth", "frame.filled_by", "final"),
-            ("holes.",),
-        ),
-    ],
-)
-def test_modules(seen, module, may, must, gone):
-    assert seen["modules"]["error"] is None, seen["modules"]["error"]
-    values = seen["modules"]["values"][module]
-    assert set(must) <= set(values["changed"])
-    assert [name for name in values["changed"] if not starts(name, may)] == []
-    assert [name for name in values["gone"] if not gone or not starts(name, gone)] == []
-    assert bool(values["gone"]) == bool(gone)
-    assert {"rendered.color", "rendered.depth", "rendered.motion", "truth"} <= set(values["same"])
-    assert values["after switching back"] == []
-    assert f"modules, {module} off" in seen["pictures"]
-
-
-def test_shading_correction(values):
-    assert values["disabled without a model"] == ["shading correction", "focus mask"]
-    assert values["disabled with a model"] == []
-    assert 0.001 < values["corrected"] < 0.9 and values["only within the mask"] and values["elsewhere as before"]
-    assert "Shading correction changed it (focus mask " in values["story"] and values["inspected"]
-    for name, fewest in (("network_input.frames", 30), ("correction.correction", 2), ("correction.focus_mask", 2)):
-        assert values[f"seen of {name}"] >= fewest
-    assert values["whole image"] and values["focus mask back"] == []
-    off, on = values["switched off"], values["switched on"]
-    assert off["changed"] == off["gone"] == on["changed"] == on["gone"] == []
-    assert off["disabled"] == ["focus mask"]
+def test_cached_playback(values):
+    assert values["share marked as cached"] > 0.98
+    assert values["plays while nothing is computed"]
 
 
 def test_parameters(values):
-    low, high = values["low"], values["high"]
-    assert (low["threshold"], high["threshold"]) == (0.0, 8.0)
-    assert high["dynamic pixels"] < values["dynamic pixels before"] < low["dynamic pixels"]
-    for changed in (low["changed"], high["changed"]):
-        assert {"history.dynamic_mask", "final"} <= set(changed)
-        assert not [name for name in changed if starts(name, FRAME)]
-    assert values["threshold after reset"] == 1.0
-    assert values["n = 3"]["slot"] == 26 and values["n = 3"]["slots"] == 32
-    more = values["n = 3"]  # the same time, but not all new frames have the truth's cameras now: they are predicted
-    assert {"prediction.target_position", "frame.motion", "final"} <= set(more["changed"]) and more["gone"] == []
-    assert not [name for name in more["changed"] if starts(name, ("rendered.", "history.", "truth"))]
-    later = values["a quarter later"]
-    assert later["alpha"] == 0.75
-    assert {"prediction.target_position", "frame.motion", "final"} <= set(later["changed"])
-    same = [name for name in later["changed"] if starts(name, ("rendered.", "history.", "background."))]
-    assert set(same) <= set(LEFT_BY_BACKGROUND)
-    assert set(later["gone"]) == {"truth", "focus_truth"}
-
-
-def test_rendering_window(values):
-    assert values["windowed"] and not values["windowed when off"] and values["windowed again"]
-    assert {"rendered.color", "rendered.depth", "history.met_depth", "final"} <= set(values["changed"])
-    assert "truth" in values["same"] and values["after switching back"] == []
+    assert values["disabled without a model"] == ["shading correction", "focus mask"]
+    assert values["thresholds"] == [8.0, 1.0] and values["slots"] == [26, 32]
+    assert not values["windowed when off"]
 
 
 def test_layers(values):
-    names = values["layers"]
-    assert len(names) > 20
-    for name in ("frame.filled_by", names[-1], "history.dynamic_mask"):
-        assert values[f"click on {name}"] == name
-    assert values["after Up"] == names[-2]
-    for name in names:
-        layer = values["seen"][name]
-        assert layer["shown"] == name
-        assert layer["background"] < 0.02, (name, layer)
-        fewest = {"mask": 2, "label": 2, "scalar": 3}.get(layer["view"], 30)
-        if name in ("focus_truth", "acceleration.bend", "acceleration.view_velocity") or "holes.downsampled" in name:
-            fewest = 1  # all may be as it should
-        assert layer["colors"] >= fewest, (name, layer)
+    assert values["clicked"] == values["layers"] and values["by keys"] == values["ends"]
+    assert values["overlay"] == "edges"
+
+
+def test_display_keys(values):
+    assert values["exposures"] == [0.5, 0.0, -0.5, 0.0]
+    assert values["channel"] == "R" and values["gray"]
+    assert values["range"] == pytest.approx(values["quantiles"], rel=0.02)
+
+
+def test_inspector(values):
+    assert values["status"].startswith("(190, 106)   R ") and values["left"]
+    assert values["heights"][0] == values["heights"][1]  # R G B stand in one line
+
+
+def test_ways_of_comparing(values):
+    final, truth = ["final", "truth"], ["truth", "truth"]
+    ways = [[*final, "difference"], [*final, "error"], [*final, "off"], [*truth, "off"], [*final, "off"]]
+    assert values["ways"] == ways
 
 
 def test_overview(values, seen):
@@ -224,49 +106,12 @@ def test_overview(values, seen):
     assert values["opened"] == ["frame.depth", False]
 
 
-@pytest.mark.parametrize("overlay", ["edges", "residual motion"])
-def test_overlays(seen, overlay):
-    assert seen["overlays"]["error"] is None, seen["overlays"]["error"]
-    values = seen["overlays"]["values"][overlay]
-    assert values["overlay"] == overlay
-    assert values["changed"] > 0.3 and values["colored"] > 0.01
-
-
-def test_split(values):
-    assert values["split"] == pytest.approx(0.3, abs=0.01)
-    assert values["left is A"] and values["right is B"] and not values["A is B"]
-    assert not values["center moved"]
-
-
-def test_difference_and_error(values):
-    assert values["b"] == "truth" and values["compare"] == "error" and values["shown after T"] == "truth"
-    assert values["difference is seen"] > 0.02
-    assert values["largest fault of the difference"] <= 5  # gain 4, each picture rounded to half a level
-    assert values["error follows the difference"] > 0.95
-
-
-def test_flip(values):
-    assert values["held shows B"] and values["A differs"] and values["released shows A"]
-
-
 def test_flip_error(values):
     if values["reason"] is not None:
         assert "flip-evaluator" in values["reason"]
         return
     assert values["drawn"] > 60
-    assert max(values["faults"]) <= 2  # levels
     assert values["colors without truth"] == 1
-
-
-def test_inspector(values):
-    for pixel in values["pixels"]:
-        assert pixel["wrong"] == [], pixel
-        assert {"final", "rendered.color", "frame.motion", "history.met_depth", "background.color_0"} <= set(
-            pixel["compared"]
-        )
-    assert len(values["pixels"]) == 5 and values["left"]
-    assert values["status"].startswith("(190, 106)   R ")
-    assert values["heights"][0] == values["heights"][1]  # R G B stand in one line
 
 
 def test_story(values):
@@ -291,35 +136,13 @@ def test_zoom_and_pan(values):
     assert values["one to one"] == 1.0 and values["fitted again"]
 
 
-def test_display_keys(values):
-    usual, brighter, back, darker, reset = values["brightness"]
-    assert darker < usual < brighter and back == pytest.approx(usual) and reset == pytest.approx(usual)
-    assert values["reset restores"]
-    assert values["channel"] == "R" and values["gray"]
-    assert values["colors"][1] > 2 * values["colors"][0]
-    assert values["range"] == pytest.approx(values["quantiles"], rel=0.02)
-    assert values["white at 99 %"] == pytest.approx(1.0, rel=0.05)
-
-
-def test_measuring(values):
-    assert [values["psnr"], values["ssim"]] == pytest.approx(values["by hand"], rel=1e-6)
-    assert 10 < values["psnr"] < 60
-    assert {3, 5, 7, 9, 11, 13} <= set(values["slots"]) <= set(range(1, 16, 2))
-
-
-def test_cached_playback(values):
-    assert values["share marked as cached"] > 0.98
-    assert values["plays while nothing is computed"] and not values["computed"] and values["shown"]
-
-
 def test_layers_by_the_palette(values):
     assert (values["shown"], values["back"]) == ("warp.motion", "final")
     assert values["not made now"] == ["final", "not made with these options"]
 
 
 def test_doctor(values):
-    assert values["small"] == {"said": [], "marks": []} and values["forgotten"]
-    assert any("motion" in said for said in values["negated"]["said"]) and values["marked"] > 0.5
+    assert values["said"] == [] and values["marked"] > 0.5
 
 
 def test_kernel_timings(values):
@@ -335,24 +158,13 @@ def test_keys_while_computing(values):
 
 
 def test_kernels(values):
-    assert 0.2 < values["darker by"] < 0.9
-    assert f"warp.cl:{values['line']}" in values["error"] and "no_such_thing" in values["error"]
-    assert values["picture stays"] and values["error is shown"] and values["recovered"]
+    assert values["error is shown"] and values["recovered"]
     first, *others = values["copied"].splitlines()
-    assert "does not build" in first and f"warp.cl:{values['line']}" in others[0]
-
-
-@pytest.mark.parametrize(
-    "name, reason", [("no such thing", "no such folder"), ("empty", "sequence.json"), ("text.txt", "JSON")]
-)
-def test_dropping_something_bad(seen, name, reason):
-    assert seen["dropping"]["error"] is None, seen["dropping"]["error"]
-    dropped = seen["dropping"]["values"]["bad"][name]
-    assert name in dropped["message"] and reason in dropped["message"] and dropped["error"] and dropped["shown"]
-    assert dropped["name"] == "small" and dropped["picture stays"]
+    assert "does not build" in first and "warp.cl:" in others[0]
 
 
 def test_dropping(values):
+    assert "no such folder" in values["told"] and values["shown"] and values["picture stays"]
     assert values["goes on"] == 12 and values["target"] == "small"
     assert values["opened"] == ["large", 960]
     assert values["recent"] == ["large", "small"]
@@ -470,20 +282,12 @@ def test_finding_frames(values):
     assert values["empty"] == [False, True]
     assert values["slots"] == [list(range(1, 16, 2))] * 2
     assert values["visited"] == values["worst"] and len(set(values["visited"])) == 3
-    assert values["in the plot"] == pytest.approx(values["by hand"], abs=1e-9)
     assert values["most different"][0] == values["most different"][1]
-    assert {"psnr", "flicker", "disoccluded", "kernels"} <= set(values["quantities"])
     assert values["clicked"] == 9
 
 
 def test_regions_of_errors(values):
-    assert 0.05 < values["tinted"] < 0.8
-    assert sum(values["pixels"].values()) == pytest.approx(1)
-    for side in zip(*values["errors"].values(), strict=True):
-        assert sum(side) == pytest.approx(1)
-    a, b = values["errors"]["dynamic"]
-    assert b > 2 * a  # B has no motion estimation
-    assert values["only"] == "dynamic" and values["bright inside"] and values["dim outside"] > 0.9
+    assert 0.05 < values["tinted"] < 0.8 and values["only"] == "dynamic" and values["dimmed"] > 0.1
     assert values["all again"] is None and values["as before"]
 
 
@@ -504,12 +308,8 @@ def test_walking_along_a_story(values):
 
 def test_rectangle(values):
     assert values["rectangle"] == [140, 40, 190, 100] and not values["panned"]
-    assert values["psnr"][0] == pytest.approx(values["psnr"][1], abs=1e-3)
-    assert values["worst"][0] == values["worst"][1] == values["picked"][0] == values["picked"][1]
-    filled, own = values["filled"]
-    assert filled["its own fragment"] == pytest.approx(own) and sum(filled.values()) == pytest.approx(1)
-    assert values["lengths"][0] == values["lengths"][1]
-    assert values["of a rendered frame"] == [None, {}] and values["forgotten"] is None
+    assert values["worst"][0] == values["worst"][1] == values["worst"][2]
+    assert values["forgotten"] is None
 
 
 def test_color_bars(values):

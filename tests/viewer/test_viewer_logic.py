@@ -4,8 +4,6 @@ import contextlib
 import json
 import os
 import resource
-import subprocess
-import sys
 from functools import partial
 from types import SimpleNamespace
 
@@ -449,9 +447,7 @@ def test_nonsense_shortcuts_are_refused(text):
 
 
 def test_every_key_is_one_of_imgui():
-    code = "import sys; from imgui_bundle import imgui; print(*[n for n in sys.argv[1:] if not hasattr(imgui.Key, n)])"
-    unknown = subprocess.run([sys.executable, "-c", code, *IMGUI_KEYS], capture_output=True, text=True, check=True)
-    assert unknown.stdout.split() == []
+    assert [name for name in IMGUI_KEYS if not hasattr(imgui.Key, name)] == []
     assert {"A", "0", "F12", "Space", "/", "Left", "Escape"} <= set(IMGUI_KEYS.values())
 
 

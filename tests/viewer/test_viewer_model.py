@@ -257,15 +257,6 @@ def test_cuts_found_in_computing_ahead_are_marked(session, monkeypatch):
     assert model.slot == 0 and model.contents.resets == {2: "a cut was found here"}
 
 
-def test_layers_of_another_slot_are_not_on_the_canvas(session):
-    model = session.model
-    for slot, layer in ((1, "frame.depth"), (3, "final")):
-        model.show_layer(layer)
-        model.playback.seek(slot)
-        session.settle()
-        assert set(session.canvas.layers) == {layer}
-
-
 def test_pictures_of_another_sequence_are_not_on_the_canvas(session, tmp_path):
     model, source = session.model, session.model.source
     taken, makers = model.contents.changes, list(model.engine._makers)

@@ -7,7 +7,7 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tiny_sequence
-from viewer_session import Canvas, Session
+from viewer_session import Session
 
 from gffe_cl.captures.offline.run import run_sequence
 from gffe_cl.captures.offline.source import Recorded
@@ -24,16 +24,8 @@ from gffe_cl.viewer.state.studies import difference, modules_of
 from gffe_cl.viewer.window.differing import show
 
 
-class WideCanvas(Canvas):
-    """... that takes images of other settings, too."""
-
-    def upload(self, name, image, spec, frame=None):
-        self.layers[name] = image
-
-
 @pytest.fixture
-def session(tmp_path, monkeypatch):
-    monkeypatch.setattr("viewer_session.Canvas", WideCanvas)
+def session(tmp_path):
     session = Session(tiny_sequence.write(tmp_path / "first"))
     yield session
     session.model.close()

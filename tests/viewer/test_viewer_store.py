@@ -316,28 +316,6 @@ def test_a_module_that_is_toggled_back_finds_what_was_there(computed, session):
     assert shown(session) == first and 5 not in computed
 
 
-def test_another_layer_is_computed_and_then_kept_beside(computed, session):
-    model = session.model
-    filled(session)
-    model.show_layer("frame.depth")
-    filled(session)
-    computed.clear()
-    for layer, slot in (("final", 3), ("frame.depth", 3), ("frame.depth", 7), ("final", 7)):
-        model.show_layer(layer)
-        model.playback.seek(slot)
-        session.settle()
-        assert set(session.canvas.layers) == {layer}
-    assert computed == []
-
-
-def test_other_kernels_and_other_weights_find_nothing(computed, session):
-    model = session.model
-    filled(session)
-    model.engine._kernels.identity += " and another one"
-    session.frame()
-    assert model.store.slots(model.recipe, FINAL) == frozenset()
-
-
 def test_a_pixel_of_a_kept_slot_is_inspected_where_it_is(session):
     model = session.model
     model.playback.seek(5)
@@ -351,26 +329,6 @@ def test_a_pixel_of_a_kept_slot_is_inspected_where_it_is(session):
     model.playback.seek(5)
     session.settle()
     assert model.pointing.inspection.slot == 5 and model.pointing.story == story
-
-
-def test_nothing_is_kept_without_a_cache(computed, session):
-    model = session.model
-    model.store.forget(lambda key: True)
-    model.store.most = 0
-    for slot in (3, 5, 3):
-        model.playback.seek(slot)
-        session.settle()
-    assert model.store.nbytes == 0
-    assert computed[-3:] == [3, 5, 3]
-
-
-def test_another_sequence_starts_with_an_empty_cache(session, tmp_path):
-    filled(session)
-    before = shown(session)
-    session.model.open(str(tiny_sequence.write(tmp_path / "second", frames=2)))
-    session.until(lambda: session.model.source.name == "second")
-    filled(session)
-    assert session.model.playback.slots == 4 and shown(session) == before  # its first frame has the same pixels
 
 
 def test_playback_of_kept_slots_drops_nothing(computed, session):

@@ -4,42 +4,17 @@ The long tests of test_viewer_gui.py look at everything; this one is part of eve
 """
 
 import json
-import os
-import shutil
-import subprocess
-import sys
 from pathlib import Path
 
 import numpy as np
 import pytest
 import tiny_sequence
+from xvfb import run_window
 
 
 def test_the_window(tmp_path):
-    if shutil.which("xvfb-run") is None:
-        assert not os.environ.get("CI"), "CI must have xvfb-run"
-        pytest.skip("xvfb-run is not installed")
     tiny_sequence.write(tmp_path / "small")
-    script = str(Path(__file__).with_name("viewer_gui_case.py"))
-    child = subprocess.run(
-        [
-            "xvfb-run",
-            "-a",
-            "-s",
-            "-screen 0 1280x720x24",
-            sys.executable,
-            script,
-            "smoke",
-            str(tmp_path),
-            str(tmp_path),
-        ],
-        env=os.environ | {"XDG_CONFIG_HOME": str(tmp_path), "LIBGL_ALWAYS_SOFTWARE": "1"},
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=300,
-    )
-    assert child.returncode == 0, f"{child.stdout[-3000:]}\n{child.stderr[-3000:]}"
+    run_window(Path(__file__).with_name("viewer_gui_case.py"), "smoke", tmp_path, tmp_path, folder=tmp_path)
     seen = json.loads((tmp_path / "smoke.json").read_text())["cases"]["smoke"]
     assert seen["error"] is None, seen["error"]
     values = seen["values"]

@@ -38,7 +38,6 @@ def add_panel_of_the_map() -> None:
 
 
 def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
-    import viewer_gui_comparing as comparing
     import viewer_gui_doing as doing
     import viewer_gui_driver as driver
     import viewer_gui_looking as looking
@@ -58,7 +57,7 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     model = Model(settings, plan=ScenePlan(160, 90, 0))
     assert warning is None, warning
     model.open(str(folder / "small"))
-    cases = playing.CASES | looking.CASES | comparing.CASES | opening.CASES | settings_cases.CASES | doing.CASES
+    cases = playing.CASES | looking.CASES | opening.CASES | settings_cases.CASES | doing.CASES
     cases = {name: case for name, case in cases.items() if name in only or not only}
     report = folder / f"{phase}.json"
     with leaving(model):

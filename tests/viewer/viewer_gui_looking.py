@@ -6,46 +6,76 @@ import numpy as np
 from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
-from gffe_cl.engine.inspection.buffers import moved
-from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.window import status
 
 CASES, case = collector()
 
 
-def _look(gui: Gui) -> dict:
-    """What is seen of the picture: of the canvas within the display."""
-    inside = gui.inside().reshape(-1, 3)
-    background = np.round(np.multiply(gui.model.view.background, 255)).astype(int)
-    return {
-        "colors": len(np.unique(inside, axis=0)),
-        "background": float((np.abs(inside - background).max(1) <= 1).mean()),
-    }
-
-
 @case
 def layers(gui: Gui):
-    """Every layer by its row; it is shown, and it is not just background."""
+    """A layer is chosen by its row and by keys; over it lies an overlay."""
     model, values = gui.model, gui.values
     names = [spec.name for spec in model.contents.layers]
-    values["layers"], values["seen"] = names, {}
-    rows = gui.ctx.window_info("//Layers/###layers").window
-    for name in ("frame.filled_by", names[-1], "history.dynamic_mask"):
+    values["clicked"], rows = [], gui.ctx.window_info("//Layers/###layers").window
+    values["layers"] = wanted = ["frame.filled_by", names[-1], "history.dynamic_mask"]
+    for name in wanted:
         gui.ctx.set_ref(rows)
         gui.click(f"###group {model.contents.spec(name).group}/###{name}")
         gui.settle()
-        values[f"click on {name}"] = model.view.a
+        values["clicked"].append(model.view.a)
     gui.ctx.set_ref("")
+    values["ends"] = [names[0], names[-1], names[-2]]
     model.show_layer(names[-1])
-    for name in names:
-        gui.key(KEY.down_arrow)
+    values["by keys"] = []
+    for key in (KEY.down_arrow, KEY.up_arrow, KEY.up_arrow):
+        gui.key(key)
         gui.settle()
-        values["seen"][name] = {"shown": model.view.a, "view": model.contents.spec(name).view} | _look(gui)
-        if name in ("history.met_depth", "frame.filled_by", "background.depth_0", "rendered.motion"):
-            gui.shot(f"layers, {name}")
-    gui.key(KEY.up_arrow)
-    values["after Up"] = model.view.a
+        values["by keys"].append(model.view.a)
+    gui.choose("//Layers/###overlay", "edges")
+    gui.settle()
+    values["overlay"] = model.view.overlay
+
+
+@case
+def display_keys(gui: Gui):
+    """Exposure, reset, channel and range of what is shown."""
+    looks, values = gui.model.looks, gui.values
+    values["exposures"] = []
+    for key, modifiers in ((KEY.e, 0), (KEY.e, SHIFT), (KEY.e, SHIFT), (KEY.r, 0)):
+        gui.key(key, modifiers)
+        values["exposures"].append(looks.of("final").exposure)
+    gui.key(KEY.c)
+    gui.settle()
+    values["channel"] = looks.of("final").channel
+    values["gray"] = bool((np.ptp(gui.inside(), axis=-1) == 0).all())
+    gui.key(KEY.r)
+    gui.model.show_layer("frame.depth")
+    gui.settle()
+    looks.change("frame.depth", low=0.0, high=1000.0)
+    gui.key(KEY.n)
+    gui.settle()
+    depth = gui.model.contents.image("frame.depth")
+    values["range"] = looks.of("frame.depth").low, looks.of("frame.depth").high
+    values["quantiles"] = np.quantile(depth[np.isfinite(depth)], (0.01, 0.99)).tolist()
+
+
+@case
+def inspector(gui: Gui):
+    """Values under the pointer: in the status bar, and of one line each."""
+    model, values = gui.model, gui.values
+    gui.point(*gui.at(190.5, 106.5))
+    gui.wait(lambda: model.pointing.inspection and model.pointing.inspection.pixel == (190, 106), "an inspection")
+    values["heights"], values["status"] = [], status.parts(model)[-1]
+    for value in ("R 0  G 0  B 0", "R 0.009723  G 0.009723  B 0.009723"):
+        rows = [row._replace(value=value) for row in gui.app.inspected[1] if row.is_color]
+        gui.app.inspected = model.pointing.inspection, rows
+        gui.frames(3)
+        window = gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector"))
+        values["heights"].append(window.content_size.y)
+    gui.point(5, 5)
+    gui.frames(3)
+    values["left"] = model.pointing.inspection is None
 
 
 @case
@@ -82,21 +112,6 @@ def color_bars(gui: Gui):
             bar = gui.window()[y + top : y + bottom, x + left : x + right]
             colors[name] = len(np.unique(bar.reshape(-1, 3), axis=0))
     values["covers"], values["colors"] = covers, colors
-
-
-@case
-def overlays(gui: Gui):
-    plain = gui.picture()
-    for name in ("edges", "residual motion"):
-        gui.choose("//Layers/###overlay", name)
-        gui.settle()
-        overlaid = gui.picture()
-        gui.values[name] = {
-            "overlay": gui.model.view.overlay,
-            "changed": float((overlaid != plain).any(-1).mean()),
-            "colored": float((np.ptp(overlaid, axis=-1) > 60).mean()),
-        }
-        gui.shot(f"overlays, {name}")
 
 
 @case
@@ -137,79 +152,6 @@ def zoom_and_pan(gui: Gui):
     gui.key(KEY.f)
     gui.frames(2)
     values["fitted again"] = (view.zoom, *view.center) == (fitted[0], *fitted[1])
-
-
-@case
-def display_keys(gui: Gui):
-    model, values = gui.model, gui.values
-    looks = [gui.picture().astype(float)]
-    for key, modifiers in ((KEY.e, 0), (KEY.e, SHIFT), (KEY.e, SHIFT), (KEY.r, 0)):
-        gui.key(key, modifiers)
-        gui.settle()
-        looks.append(gui.picture().astype(float))
-    values["brightness"] = [float(look.mean()) for look in looks]
-    values["reset restores"] = bool((looks[0] == looks[4]).all())
-    gui.key(KEY.c)
-    gui.settle()
-    values["channel"] = model.looks.of("final").channel
-    values["gray"] = bool((np.ptp(gui.inside(), axis=-1) == 0).all())
-    gui.key(KEY.r)
-    gui.key(KEY.n)
-    gui.settle()
-    brightest = model.contents.image("final")[..., :3].astype(float).max(-1)
-    gain = model.source.exposure * 2 ** model.looks.of("final").exposure
-    values["white at 99 %"] = float(np.quantile(brightest, 0.99) * gain)
-    gui.key(KEY.r)
-    model.show_layer("frame.depth")
-    gui.settle()
-    model.looks.change(model.view.a, low=0.0, high=1000.0)
-    gui.settle()
-    wide = len(np.unique(gui.picture().reshape(-1, 3), axis=0))
-    gui.key(KEY.n)
-    gui.settle()
-    values["colors"] = wide, len(np.unique(gui.picture().reshape(-1, 3), axis=0))
-    depth = model.contents.image("frame.depth")
-    values["range"] = (model.looks.of("frame.depth").low, model.looks.of("frame.depth").high)
-    values["quantiles"] = np.quantile(depth[np.isfinite(depth)], (0.01, 0.99)).tolist()
-
-
-@case
-def inspector(gui: Gui):
-    """Values under the pointer against the images."""
-    model, values = gui.model, gui.values
-    images = gui.images()
-    values["pixels"] = []
-    for x, y in ((3, 4), (96, 54), (150, 90), (160, 60), (190, 106)):
-        gui.point(*gui.at(x + 0.5, y + 0.5))
-        gui.wait(
-            lambda x=x, y=y: model.pointing.inspection and model.pointing.inspection.pixel == (x, y), "an inspection"
-        )
-        inspection, wrong, compared = model.pointing.inspection, [], []
-        at_source = inspection.source and tuple(int(np.floor(c)) for c in inspection.source)
-        moment = model.contents.result.moment
-        below = moved((x + 0.5, y + 0.5), moment.display_camera, moment.render_camera)  # in the rendered image
-        below = tuple(int(np.floor(c)) for c in below)
-        on_source = {spec.name for spec in model.contents.layers if grid_of(spec.grid).lies_on_source}
-        both = [(name, value, below if name in on_source else (x, y)) for name, value in inspection.values.items()]
-        both += [(name, value, at_source) for name, value in inspection.origin.items()]
-        for name, value, px in both:
-            spec, image = model.contents.spec(name), images[name]
-            px = tuple(c // side for c, side in zip(px, grid_of(spec.grid).texel, strict=True))
-            here = np.ravel(image[:, px[1], px[0]] if spec.planes > 1 else image[px[1], px[0]])
-            compared.append(name)
-            if not np.array_equal(np.ravel(value), here, equal_nan=True):
-                wrong.append(name)
-        values["pixels"].append({"pixel": (x, y), "wrong": wrong, "compared": compared})
-    gui.shot("inspector")
-    values["heights"], values["status"] = [], status.parts(model)[-1]
-    for value in ("R 0  G 0  B 0", "R 0.009723  G 0.009723  B 0.009723"):
-        gui.app.inspected = inspection, [row._replace(value=value) for row in gui.app.inspected[1] if row.is_color]
-        gui.frames(3)
-        window = gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector"))
-        values["heights"].append(window.content_size.y)
-    gui.point(5, 5)
-    gui.frames(3)
-    values["left"] = model.pointing.inspection is None
 
 
 @case

@@ -1,4 +1,4 @@
-"""GUI cases: other settings as B, the worst frame, regions of errors, and the walk through a pixel's story."""
+"""GUI cases: ways of comparing, other settings as B, the worst frame, regions of errors, the walk through a story."""
 
 from __future__ import annotations
 
@@ -8,6 +8,43 @@ from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
 CASES, case = collector()
 ALT = KEY.mod_alt.value
+
+
+@case
+def ways_of_comparing(gui: Gui):
+    """Each by its button or key; T shows the truth alone."""
+    model, values = gui.model, gui.values
+    gui.ctx.window_focus("//Compare")
+    gui.frames(2)
+    gui.click("//Compare/###compare difference")
+    gui.settle()
+    values["ways"] = [(model.view.a, model.view.b, model.view.compare)]
+    for key in (KEY.m, KEY.m, KEY.t, KEY.t):
+        gui.key(key)
+        gui.settle()
+        values["ways"].append((model.view.a, model.view.b, model.view.compare))
+    gui.ctx.window_focus("//Modules")
+
+
+@case
+def flip_error(gui: Gui):
+    """NVIDIA's FLIP where it is installed, else the reason why not."""
+    model, values = gui.model, gui.values
+    values["reason"] = model.comparison.why_not("flip error")
+    gui.ctx.window_focus("//Compare")
+    gui.frames(2)
+    if values["reason"] is None:
+        model.comparison.flip_high = 1.0
+        gui.click("//Compare/###compare flip error")
+        gui.settle()
+        gui.shot("FLIP error")
+        values["drawn"] = int(gui.picture().max())
+        model.set("n", 3)
+        gui.settle()
+        gui.key(KEY.right_arrow)  # to a time without ground truth
+        gui.settle()
+        values["colors without truth"] = len(np.unique(gui.inside().reshape(-1, 3), axis=0))
+    gui.ctx.window_focus("//Modules")
 
 
 @case
@@ -75,8 +112,6 @@ def settings_a_and_b(gui: Gui):
 @case
 def finding_frames(gui: Gui):
     """Every generated frame is measured; the worst, the next worse and the largest difference are found."""
-    from gffe_cl.lab.metrics import psnr, to_display
-
     model, values = gui.model, gui.values
     survey = model.survey
     gui.key(KEY.k)
@@ -94,7 +129,6 @@ def finding_frames(gui: Gui):
     values["empty"].append(gui.exists("//Plot/###survey"))
     values["slots"] = [sorted(map(int, survey.curve(side)[0])) for side in (survey.a, survey.b)]
     curve = dict(zip(*map(list, survey.curve(survey.a)), strict=True))
-    values["curve"] = curve
     gui.shot("plot")
     visited = []
     for modifiers in (0, SHIFT, SHIFT):
@@ -102,21 +136,10 @@ def finding_frames(gui: Gui):
         gui.settle()
         visited.append(model.slot)
     values["visited"], values["worst"] = visited, sorted(curve, key=curve.get)[:3]
-    model.view.b = None
-    model.comparison.with_layer("truth")
-    model.comparison.set("flip")
-    gui.settle()
-    images = model.contents.result.images
-    shown, true = (to_display(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
-    values["by hand"], values["in the plot"] = psnr(shown, true), curve[model.slot]
-    model.comparison.set("off")
-    model.comparison.with_settings()
     gui.key(KEY.j, CTRL)
     gui.settle()
     a, b = (dict(zip(*survey.curve(side), strict=True)) for side in (survey.a, survey.b))
     values["most different"] = [model.slot, max(a, key=lambda slot: abs(a[slot] - b[slot]))]
-    names = survey.figures(survey.a)[13].values
-    values["quantities"] = {name: float(value) for name, value in names.items()}
     gui.ctx.mouse_move("//Plot/###survey")
     gui.click("//Plot/###quantity")
     gui.click("//$FOCUSED/disoccluded")
@@ -153,22 +176,11 @@ def regions_of_errors(gui: Gui):
     gui.settle()
     gui.shot("regions")
     values["tinted"] = float((gui.picture() != plain).any(-1).mean())
-    found = model.regions.map
-    values["pixels"] = {name: part.pixels for name, part in found.a.items()}
-    values["errors"] = {name: [found.a[name].error, found.b[name].error] for name in found.a}
     gui.click("//Regions/###regions frame/###frame dynamic")
     gui.settle()
     gui.shot("one region")
     values["only"] = model.regions.only
-    picture = gui.picture()
-    bright = (picture == plain).all(-1)
-    inside = []
-    for y in range(0, model.source.height, 7):
-        for x in range(0, model.source.width, 7):
-            sx, sy = (int(c) for c in model.view.screen_at(picture.shape[1::-1], x + 0.5, y + 0.5))
-            inside.append((bool(found.labels[y, x] == 3), bool(bright[sy, sx]), int(plain[sy, sx].sum())))
-    values["bright inside"] = all(bright for is_inside, bright, _ in inside if is_inside)
-    values["dim outside"] = float(np.mean([not bright for is_inside, bright, sum_ in inside if not is_inside]))
+    values["dimmed"] = float((gui.picture() != plain).any(-1).mean())
     gui.click("//Regions/###regions frame/###frame dynamic")
     values["all again"] = model.regions.only
     gui.key(KEY.r, ALT)
@@ -194,8 +206,6 @@ def walking_along_a_story(gui: Gui):
     gui.click("//Inspector/###0 frame 6")
     gui.settle()
     values["at the rendered frame"] = [model.slot, list(model.pointing.picked), model.pointing.story.sentences[0]]
-    source = story.source
-    values["source"] = list(source)
     gui.click("//Inspector/###1 dynamic mask")
     gui.settle()
     values["layer"] = model.view.a
@@ -213,8 +223,6 @@ def walking_along_a_story(gui: Gui):
 @case
 def rectangle(gui: Gui):
     """Drawn with Shift: what filled its pixels, their errors, their motion."""
-    from gffe_cl.lab.metrics import psnr, to_display
-
     model, values = gui.model, gui.values
     gui.settle()
     center = model.view.center
@@ -228,20 +236,9 @@ def rectangle(gui: Gui):
     gui.frames(3)
     gui.shot("rectangle of pixels")
     found = model.selection.statistics
-    images = {name: image[40:100, 140:190] for name, image in model.contents.result.images.items() if image.ndim > 1}
-    shown, true = (to_display(images[name][..., :3], model.source.exposure) for name in ("final", "truth"))
-    error = np.abs(shown - true).mean(-1)
-    y, x = np.unravel_index(error.argmax(), error.shape)
-    values["psnr"] = [found.psnr, psnr(shown, true)]
-    values["worst"] = [list(found.worst), [140 + int(x), 40 + int(y)]]
-    values["filled"] = [found.filled, float((images["frame.filled_by"] == 0).mean())]
-    values["lengths"] = [found.lengths.sum(), found.count]
     gui.click("//Inspector/###worst_pixel")
     gui.settle()
-    values["picked"] = [list(model.pointing.picked), list(model.pointing.story.pixel)]
-    gui.key(KEY.right_arrow)
-    gui.settle()
-    values["of a rendered frame"] = [model.selection.statistics.psnr, model.selection.statistics.filled]
+    values["worst"] = [list(found.worst), list(model.pointing.picked), list(model.pointing.story.pixel)]
     gui.click("//Inspector/###forget_rectangle")
     values["forgotten"] = model.selection.rectangle
     model.pointing.pick(None)

@@ -1,6 +1,5 @@
 """The doctor names what is wrong and repairs it; good sequences raise no alarm."""
 
-import json
 from dataclasses import replace
 
 import numpy as np
@@ -9,12 +8,10 @@ from doctor_clips import COUNT, H, W, assert_restored, clip, made_world, names, 
 from parameters import few
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.captures.doctor import Repair, examine, open_for_check, quick_warning
+from gffe_cl.captures.doctor import Repair, examine, quick_warning
 from gffe_cl.captures.doctor.hypotheses.sampling import grid
 from gffe_cl.captures.doctor.hypotheses.transfer_function import Votes
-from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.encoding import Encoding
-from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.lab.fault_injection import BREAKS, HARMLESS, Kept, broken
 
 
@@ -233,20 +230,6 @@ def test_an_inconclusive_share_is_doubtful_and_without_antialiasing_nothing_is_s
 def test_the_grid_stays_inside(size):
     x, y = grid(size, 500)
     assert len(x) and x.min() >= 0 and y.min() >= 0 and x.max() < size[0] and y.max() < size[1]
-
-
-def test_matrices_for_row_vectors_are_opened_and_repaired(gffe, tmp_path):
-    folder = written(tmp_path / "rows", clip())
-    document = json.loads((folder / "sequence.json").read_text())
-    for frame in document["frames"]:
-        matrix = np.array(frame["render_camera"]["world_to_view"])
-        frame["render_camera"]["world_to_view"] = (matrix.T * 1.0).tolist()
-    (folder / "sequence.json").write_text(json.dumps(document))
-    with pytest.raises(GffeError, match="last row"):
-        open_sequence(folder)
-    opened, findings = open_for_check(folder)
-    assert [finding.name for finding in findings] == ["transposed"]
-    assert opened.rendered[3].render_camera == clip().rendered[3].render_camera
 
 
 def test_what_cannot_be_opened_keeps_its_own_message(gffe, tmp_path):

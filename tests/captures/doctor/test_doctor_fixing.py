@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from doctor_clips import H, W, assert_restored, clip, names, tiled, written
+from doctor_clips import H, W, as_folder, assert_restored, clip, follow_advice, names, tiled, written
 
 from gffe_cl import open_capture
 from gffe_cl.captures.doctor import Finding, Repair, examine, selected
@@ -76,28 +76,6 @@ def test_parts_of_readings_can_be_left_and_are_in_the_table():
     for reading in camera_readings():
         assert all(f"camera: {part}" in ENTRIES for part in (*reading.parts, *reading.opposite().parts))
         assert reading.keeping(reading.parts) == reading and reading.keeping(()) == CAMERA_AS_GIVEN
-
-
-def as_folder(folder, kept, **parts):
-    """A `gffe-folder` that says of `kept` that it is in our conventions, less what `parts` say."""
-    folder.mkdir()
-    for number, frame in enumerate(kept.images):
-        for name in ("color", "depth", "motion"):
-            np.save(folder / f"{name}_{number}.npy", getattr(frame, name).astype(np.float32))
-    views = [{"view": f.camera.world_to_view.tolist(), "fx": f.camera.fx} for f in kept.images]
-    document = {"format": "gffe-folder", "version": 1, "width": W, "height": H, "fps": 30}
-    document |= {"frames": {"first": 0, "count": len(views)}, "camera": {"list": views}}
-    document |= {name: {"file": f"{name}_%d.npy"} for name in ("color", "depth", "motion")}
-    (folder / "sequence.json").write_text(json.dumps(document | parts))
-    return folder
-
-
-def follow_advice(folder, findings):
-    document = json.loads((folder / "sequence.json").read_text())
-    for finding in findings:
-        part, _, keys = finding.change.partition(": ")
-        document[part] |= json.loads("{" + keys + "}")
-    (folder / "sequence.json").write_text(json.dumps(document))
 
 
 def test_of_a_folder_the_keys_to_change_are_named_and_right(tmp_path):

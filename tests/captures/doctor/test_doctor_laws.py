@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from doctor_clips import COUNT, H, W, assert_restored, clip, names
+from doctor_clips import as_folder, assert_restored, clip, follow_advice, names
 from parameters import few
 
 from gffe_cl import open_capture
@@ -89,25 +89,14 @@ def test_floats_read_as_integers_are_named(kind):
 def test_a_folder_gets_the_keys_of_logarithmic_depth(tmp_path):
     """Logarithms described as device depth, of another scene, near and far than above."""
     near, far = 0.02, 250.0
-    views = [f.camera for f in clip().images]
-    cameras = [{"view": c.world_to_view.tolist(), "fx": c.fx, "fy": c.fy, "cx": c.cx, "cy": c.cy} for c in views]
-    said = {"file": "d%d.npy", "channels": ["0"], "encoding": "device", "near": 0.5, "far": 100, "reversed": True}
-    for k, frame in enumerate(clip().images):
-        np.save(tmp_path / f"c{k}.npy", frame.color[..., :3])
-        np.save(tmp_path / f"d{k}.npy", (1 - np.log(frame.depth / near) / np.log(far / near)).astype(np.float32))
-        np.save(tmp_path / f"m{k}.npy", np.zeros((H, W, 2), np.float32) if frame.motion is None else frame.motion)
-    document = {
-        "format": "gffe-folder", "version": 1, "width": W, "height": H, "fps": 30, "frames": {"count": COUNT},
-        "color": {"file": "c%d.npy", "channels": ["0", "1", "2"]}, "depth": said,
-        "motion": {"file": "m%d.npy", "channels": ["0", "1"]}, "camera": {"list": cameras},
-    }  # fmt: skip
-    (tmp_path / "sequence.json").write_text(json.dumps(document))
-    (fault,) = examine(open_capture(tmp_path)).faults
+    values = [replace(f, depth=1 - np.log(f.depth / near) / np.log(far / near)) for f in clip().images]
+    said = {"file": "depth_%d.npy", "encoding": "device", "near": 0.5, "far": 100, "reversed": True}
+    folder = as_folder(tmp_path / "in", Kept(values), depth=said)
+    (fault,) = examine(open_capture(folder)).faults
     keys = {"encoding": "logarithmic", "near": near, "far": far, "reversed": True}
     assert json.loads("{" + fault.change.removeprefix("depth: ") + "}") == keys
-    document["depth"] |= keys
-    (tmp_path / "sequence.json").write_text(json.dumps(document))
-    fixed = open_capture(tmp_path)
+    follow_advice(folder, [fault])
+    fixed = open_capture(folder)
     assert examine(fixed).findings == []
     for entry, frame in zip(fixed.rendered, clip().images, strict=True):
         np.testing.assert_allclose(fixed.read(entry).depth, frame.depth, rtol=1e-4)

@@ -4,17 +4,14 @@ import struct
 
 import numpy as np
 import pytest
-from foreign import H, W, shots, write_exr
+from folder_captures import rendered
+from foreign import H, W, write_exr
 from PIL import Image
 
 from gffe_cl import Camera, GffeError, open_capture
 from gffe_cl.captures.formats.motion_conversion import static_motion
 
 HERE = np.stack(np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5), -1)
-
-
-def rendered():
-    return [shot for shot in shots() if shot.kind == "rendered"]
 
 
 def flow_to(shot, after):

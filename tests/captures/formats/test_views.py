@@ -3,18 +3,16 @@ error that lists the candidates."""
 
 import json
 
+import folder_captures
 import numpy as np
 import OpenEXR
 import pytest
+from folder_captures import rendered as frames
 from foreign import FPS, H, W, blender_layers, edit_json, shots, write_blender, write_exr
 
 from gffe_cl import GffeError, open_capture
 
 VIEWS = {"left": 1.0, "right": 3.0}  # every value of a view's buffers is that many times the scene's
-
-
-def frames():
-    return [shot for shot in shots() if shot.kind == "rendered"]
 
 
 def channels(shot, view):
@@ -68,21 +66,15 @@ def single_part(path, shot, first="right", only="left"):
 
 
 def described(folder, form, **parts):
-    listed = []
-    for shot in frames():
-        fx, fy, cx, cy = shot.camera.intrinsics
-        view = shot.camera.world_to_view.tolist()
-        listed.append((view, dict(zip(("fx", "fy", "cx", "cy"), (fx, fy, cx, cy), strict=True))))
+    buffers = {"color": {"file": "f%d.exr"}, "depth": {"file": "f%d.exr", "channels": ["Z"]}}
+    buffers["motion"] = {"file": "f%d.exr", "channels": ["motion.x", "motion.y"]}
+    said = folder_captures.described(frames={"count": 3}, **buffers | parts)
     if form == "own":
         said = {"format": "gffe-sequence", "version": 1, "width": W, "height": H, "fps": FPS, "frames": []}
-        for k, (view, focal) in enumerate(listed):
-            entry = {"file": f"f{k}.exr", "time": k / FPS, "kind": "rendered"}
-            said["frames"].append(entry | {"render_camera": {"world_to_view": view, **focal}})
-    else:
-        said = {"format": "gffe-folder", "version": 1, "width": W, "height": H, "fps": FPS, "frames": {"count": 3}}
-        said |= {"color": {"file": "f%d.exr"}, "depth": {"file": "f%d.exr", "channels": ["Z"]}}
-        said |= {"motion": {"file": "f%d.exr", "channels": ["motion.x", "motion.y"]}}
-        said |= {"camera": {"list": [{"view": view, **focal} for view, focal in listed]}, **parts}
+        for k, shot in enumerate(frames()):
+            camera = {"world_to_view": shot.camera.world_to_view.tolist(), **folder_captures.focal(shot.camera)}
+            entry = {"file": f"f{k}.exr", "time": k / FPS, "kind": "rendered", "render_camera": camera}
+            said["frames"].append(entry)
     (folder / "sequence.json").write_text(json.dumps(said))
 
 

@@ -280,14 +280,6 @@ def test_bad_pixels_of_every_type(dtype):
             assert np.array_equal(laid[..., :3], expected.astype(np.float16)) and not laid[..., 3].any()
 
 
-def test_bad_depth_and_motion_are_counted():
-    depth, motion = np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32)
-    depth[0, :4] = np.nan, 0, -1, np.inf  # the last one is sky
-    motion[2, 0], motion[2, 1, 1], motion[2, 2, 0] = np.nan, np.inf, -np.inf
-    frame = RenderedFrame(np.zeros((5, 7, 3), np.float16), depth, motion, None, 0.0)
-    assert host_arrays(frame, 5, 7).bad == BadPixels(depth=3, motion=3)
-
-
 def test_halves_that_were_read_are_not_copied(tmp_path):
     """What is read stays as it is, also where a pixel is bad."""
     sequence = open_sequence(write(tmp_path))

@@ -2,10 +2,8 @@
 
 import contextlib
 import ctypes
-import json
 import os
 import socket
-import struct
 import sys
 import threading
 import time
@@ -144,19 +142,6 @@ def test_decoding_leaves_no_file_open(folder, monkeypatch, damaged):
     with pytest.raises(GffeError) if damaged else contextlib.nullcontext():
         sequence.read(sequence.rendered[2])
     assert all(set(numbers) == set("012345") for numbers in seen) and seen  # 3, 4: what is printed; 5: the list itself
-
-
-@pytest.mark.parametrize("window", [(0, 0, -1, 35), (0, 0, -2, 35), (0, 5, 12, 3)])
-def test_empty_display_window(folder, window):
-    header = {"type": OpenEXR.scanlineimage}
-    path = folder / "frame_1.exr"
-    OpenEXR.File(header, contiguous(named_channels(*pixels(1)))).write(str(path))
-    data = path.read_bytes()
-    box = data.index(b"displayWindow\0box2i\0") + len(b"displayWindow\0box2i\0") + 4
-    path.write_bytes(data[:box] + struct.pack("<4i", *window) + data[box + 16 :])
-    edit(folder, lambda d: d["frames"][2].pop("display_camera", None))
-    numbers = " ".join(map(str, window))
-    assert fault(folder) == (f"frame_1.exr: the display window {numbers} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
 
 
 @pytest.mark.parametrize("file", ["frame_1.exr", "sequence.json"])
@@ -375,23 +360,6 @@ def test_extrapolated_frames_may_coincide(folder):
 
     edit(folder, change)
     assert open_sequence(folder).extrapolated[0].alpha == 1
-
-
-@pytest.mark.long
-def test_many_frames(folder, monkeypatch):
-    """Opening takes the same few steps per frame however many there are: a header is parsed once."""
-    parsed, real = [], exr_layout._parse
-    monkeypatch.setattr(exr_layout, "_parse", lambda cursor: (parsed.append(1), real(cursor))[1])
-    count = 200_000
-    document = json.loads((folder / "sequence.json").read_text())
-    frame = next(f for f in document["frames"] if f["file"] == "frame_1.exr")
-    document["frames"] = [frame | {"time": k / 30} for k in range(count)]
-    (folder / "sequence.json").write_text(json.dumps(document))
-    sequence = open_sequence(folder)
-    assert len(parsed) <= 3
-    assert (
-        len(sequence.rendered) == count and sequence.rendered[-1].display_camera == sequence.rendered[0].render_camera
-    )
 
 
 def test_headers_that_are_alike_are_parsed_once(tmp_path, monkeypatch):

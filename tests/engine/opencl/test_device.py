@@ -15,7 +15,7 @@ from device_infos import GPU, INTEL, OLD_GPU, POCL
 
 from gffe_cl import GffeError
 from gffe_cl.engine.opencl import device as device_module
-from gffe_cl.engine.opencl import runtimes
+from gffe_cl.engine.opencl import probing, runtimes
 from gffe_cl.engine.opencl.device import DeviceInfo, best_of, select
 from gffe_cl.engine.opencl.program import build, expand, first_error, kernel_folder, with_files_named
 from gffe_cl.engine.opencl.program_cache import built_program
@@ -56,7 +56,6 @@ def test_the_default_is_the_fastest_of_any_kind():
 @pytest.mark.parametrize("slow", ["kernel", "copy"])
 def test_the_figure_counts_arithmetic_and_memory(device, monkeypatch, slow):
     """It is less where either takes longer."""
-    from gffe_cl.engine.opencl import probing
 
     class Timed:
         def __init__(self, nanoseconds):
@@ -189,17 +188,14 @@ def test_a_temporary_folder_of_others_is_not_trusted(tmp_path, monkeypatch):
     assert runtimes._temporary_folder() != own
 
 
-def test_files_of_the_working_folder_do_not_disturb_probing(tmp_path, monkeypatch):
+def test_probing_is_in_a_child_that_files_of_the_working_folder_do_not_disturb(tmp_path, monkeypatch):
+    """This process runs no kernel of a device that it does not know."""
+    monkeypatch.setattr(probing, "_run_probe_kernel", None)
     for name in ("copy", "json", "select", "numpy"):
         (tmp_path / f"{name}.py").write_text("raise SystemExit('not the module that was meant')\n")
     monkeypatch.chdir(tmp_path)
     infos = device_module.list_devices(refresh=True)
-    assert infos and all(info.index != "–" for info in infos)
-
-
-def test_unknown_device_is_refused_by_name(device):
-    with pytest.raises(GffeError, match="no working device matches 'abacus'"):
-        device_module.open_device("abacus")
+    assert any(info.works for info in infos) and all(info.index != "–" for info in infos)
 
 
 @pytest.fixture
@@ -310,7 +306,7 @@ def test_too_large_an_allocation_is_one_line(device):
         device.buffer(1 << 50)
 
 
-@pytest.mark.parametrize("first", ["gffe_cl", "gffe_cl.engine.pipeline.pipeline", "pyopencl"])
+@pytest.mark.parametrize("first", ["gffe_cl", "pyopencl"])
 def test_order_of_imports_does_not_matter(first):
     """Devices are found, listed and opened alike in a fresh process, whatever was imported first."""
     code = (

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
-from synthetic import Rect, Rects, camera
+from tiny_frames import H, W, frames
 
 from gffe_cl import (
     Device,
@@ -22,7 +22,6 @@ from gffe_cl import (
 from gffe_cl.engine.frame.rendered_frame import host_arrays
 from gffe_cl.engine.opencl import sharing
 
-W, H = 32, 24
 SLOTS = 3  # of rendered frames: two are in use while the third is written
 P, INT, UINT, SIZE, ULONG = ct.c_void_p, ct.c_int32, ct.c_uint32, ct.c_size_t, ct.c_uint64
 GL_CONTEXT, DISPLAY, SEMAPHORES = 0xABC000, 0xDEF000, 0x5000
@@ -163,13 +162,6 @@ def driver(device, monkeypatch):
     says = "cl_khr_gl_sharing", "cl_khr_external_memory", "cl_khr_external_semaphore"
     monkeypatch.setattr(sharing, "_extensions", lambda own: says if own.platform == device.cl_device.platform else ())
     return fake
-
-
-def frames(count):
-    scene, poses = Rects([Rect((0, 0, 5), (9, 9)), Rect((0, 0, 3), (0.5, 0.5), (3, 0, 0))]), []
-    for k in range(count):
-        poses.append((camera(W, H, (0.1 * k, 0, 0)), k / 30))
-        yield scene.frame(*poses[-1], W, H, poses[k - 1] if k else None, reset=k == 0)
 
 
 def loop(driver, shared, made_by, kind):

@@ -195,14 +195,19 @@ def test_only_the_newest_files_stay(cache, probes):
     assert len(list(cache.iterdir())) == 16 and device_cache.recall("newest").devices == [POCL]
 
 
-def test_a_known_device_that_is_not_there_is_looked_for(cache, device, monkeypatch):
+@pytest.fixture(scope="module")
+def probed():
+    """What probing really finds, once."""
+    return device_module.probe()
+
+
+def test_a_known_device_that_is_not_there_is_looked_for(cache, device, monkeypatch, probed):
     """The first process knew another device of that index, or more devices than there are; a kernel never saw it."""
-    really = device_module.probe
     there = device.info.index
     monkeypatch.delenv("GFFE_DEVICE", raising=False)
     for gone in (replace(GPU, index=there), replace(GPU, index="9:9"), replace(GPU, index="0:99")):
         calls = []
-        monkeypatch.setattr(device_module, "probe", lambda calls=calls: calls.append(1) or really())
+        monkeypatch.setattr(device_module, "probe", lambda calls=calls: calls.append(1) or probed)
         device_cache.keep(device_cache.fingerprint(), Probed([replace(gone)]))
         opened = open_device(there)
         assert opened.info.name == device.info.name and len(calls) == 1
@@ -260,9 +265,3 @@ def test_the_command_says_how_old_a_rank_is(cache, probes, tmp_path, capsys):
     assert 3 * 86400 <= seconds < 3 * 86400 + 60 and default == [True, False]
     said, seconds, default = told("--refresh")
     assert "tested just now; " in said and seconds == 0 and default == [False, True]
-
-
-def test_probing_is_in_a_child(monkeypatch):
-    """This process runs no kernel of a device that it does not know."""
-    monkeypatch.setattr(probing, "_run_probe_kernel", None)
-    assert any(info.works for info in list_devices(refresh=True))

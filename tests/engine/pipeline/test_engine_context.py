@@ -5,18 +5,20 @@ import ctypes.util
 import time
 import weakref
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pyopencl as cl
 import pytest
 import scn_models
-from synthetic import Rect, Rects, camera
+import tiny_frames
 
 from gffe_cl import Device, GffeError, Options, Overlays, Pipeline, open_device
 from gffe_cl.engine.frame.rendered_frame import host_arrays
 from gffe_cl.engine.stages.correction import ShadingCorrection
 
 W, H = 64, 48
+frames = partial(tiny_frames.frames, width=W, height=H)
 PLAIN = Options(shading_correction=False)
 NO_WAIT = replace(PLAIN, cut_detection=False)
 OUT_OF_ORDER = cl.command_queue_properties.OUT_OF_ORDER_EXEC_MODE_ENABLE
@@ -32,13 +34,6 @@ def context(device):
 def engine(context):
     """A device in the context of somebody else, whose queue has no profiling."""
     return Device.from_context(context, cl.CommandQueue(context))
-
-
-def frames(count=3):
-    scene, poses = Rects([Rect((0, 0, 5), (9, 9)), Rect((0, 0, 3), (0.5, 0.5), (3, 0, 0))]), []
-    for k in range(count):
-        poses.append((camera(W, H, (0.1 * k, 0, 0)), k / 30))
-        yield scene.frame(*poses[-1], W, H, poses[k - 1] if k else None, reset=k == 0)
 
 
 def buffers_of(frame, context):

@@ -13,11 +13,8 @@ from upscaling_frames import JITTER, MOVING, STILL, H, W, color_of, frames, path
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence import open_sequence
-from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.jitter import Jitter, without_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.engine.opencl.device import list_devices, open_info
-from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.frame_block import mapping, reprojection
 
@@ -295,15 +292,6 @@ def test_what_does_not_fit_is_told(gffe, recorded, tmp_path, arguments, said):
     assert code == 2 and said in err and "Traceback" not in err and not (tmp_path / "out").exists()
 
 
-def test_a_sequence_of_one_size_grows(gffe, tmp_path):
-    """Recorded at 48×32 for a display of that size, shown at 96×64."""
-    assert gffe("render", "corridor", tmp_path / "small", "--size", "48x32", "--frames", "2")[0] == 0
-    code, _, err = gffe("run", tmp_path / "small", tmp_path / "large", "--upscale", "2", "--no-scn")
-    assert code == 0, err
-    made = open_sequence(tmp_path / "large")
-    assert (made.width, made.height) == (96, 64) and made.extrapolated[0].display_camera.cx == 48
-
-
 def test_a_scene_rendered_meanwhile(gffe, tmp_path):
     code, _, err = gffe(
         "run", "plaza", tmp_path / "out", "--upscale", "2", "--size", "65x41", "--frames", "2", "--no-scn"
@@ -325,21 +313,3 @@ def test_pipelines_refuse_nothing_of_odd_sizes(device):
             pipeline.submit(RenderedFrame(*arrays, motion, render, k / 30, shown, reset=k == 0))
         np.testing.assert_allclose(pipeline.extrapolate().numpy("color"), 0.25, rtol=2e-3)
         np.testing.assert_allclose(pipeline.present().numpy("color"), 0.25, rtol=2e-3)
-
-
-def test_options_refuse_what_is_between_off_and_one():
-    with pytest.raises(GffeError, match="upscaling must be 0"):
-        Options(upscale=0.25)
-
-
-def test_all_devices_give_the_same_bits():
-    """Of all that is kept, and of generated frames."""
-    made = []
-    for info in (info for info in list_devices() if info.works):
-        pipeline = pipeline_for(open_info(info))
-        for frame in frames(MOVING, 5, still=False):
-            pipeline.submit(frame)
-        stage = pipeline.stages["upscaling"]
-        kept = [stage.read(name).tobytes() for name in ("history", "lock", "rejected", "deviation")]
-        made.append([*kept, pipeline.extrapolate(path(5, still=False), 4.5 / 30).numpy("color").tobytes()])
-    assert all(other == made[0] for other in made[1:])

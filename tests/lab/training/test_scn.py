@@ -238,16 +238,6 @@ def test_structural_similarity_is_the_metric():
     assert losses.ssim(a, b).item() == pytest.approx(np.mean(measured), abs=1e-5)
 
 
-def test_weights_are_the_papers_but_for_the_mask_s():
-    assert weights(Recipe(blend_weight=0.5)) == {
-        "reconstruction": 1.0,
-        "focus": 0.05,
-        "perceptual": 0.01,
-        "blend": 0.5,
-        "teacher": 16.0,
-    }
-
-
 def test_vgg(tmp_path):
     torch.manual_seed(0)
     layout = {0: (3, 64), 2: (64, 64), 5: (64, 128), 7: (128, 128), 10: (128, 256), 12: (256, 256), 14: (256, 256)}
@@ -342,13 +332,6 @@ def halved(batch):
     planes = torch.from_numpy(samples.astype(np.float32))
     images = (planes[:, part] for part in clips.PLANES.values())
     return Batch(*images, batch.trends.clone(), batch.alpha, batch.heights, True)
-
-
-def test_samples_at_half_resolution_are_what_the_network_sees():
-    batch = batch_of()
-    half = halved(batch)
-    assert half.gae.shape == (3, 3, 32, 32)
-    assert torch.allclose(half.frames(), batch.frames(), atol=1e-3)
 
 
 def test_half_resolution_forgives_one_pixel_of_the_whole_frame_too():
