@@ -9,20 +9,21 @@
 #define SHARP_AT_ONCE 2.0f /* times the measured sharpness at alpha = 0, ... */
 #define LESS_SHARP_LATER 1.2f /* ... and less by this at 1: places are less certain */
 
-/* Of this sharpness. */
-INLINE Sharpening sharpening(const float sharpness, const float code_offset) {
-    const float white = code_offset > 0.0f ? 4.0f * code_offset * code_offset : 1.0f;
-    const Sharpening sharp = {CATMULL_ROM + SHARPER_SLOPE * sharpness, STEEPER * sharpness,
+/* Of this sharpness, for codes with white as its own. */
+INLINE Sharpening sharpening(const float sharpness, const float white) {
+    const Sharpening sharp = {CATMULL_ROM + SHARPER_SLOPE * sharpness, true, STEEPER * sharpness,
                               divide(1.0f / (FULL_EDGE - LEAST_EDGE), white)};
     return sharp;
 }
 
+INLINE float display_white(const float code_offset) {
+    return code_offset > 0.0f ? 4.0f * code_offset * code_offset : 1.0f;
+}
+
 /* Of a new frame after rendered ones of the measured sharpness (sharpness.cl), if any is measured. */
 INLINE Sharpening sharpening_of(__global const float *measured, __constant Frame *frame) {
-    const Sharpening none = NOT_STEEPER(CATMULL_ROM);
-    const float sharpness =
-        frame->sharpness ? *measured * fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f) : 0.0f;
-    return sharpness > 0.0f ? sharpening(sharpness, frame->code_offset) : none;
+    const float later = fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f);
+    return sharpening(frame->sharpness ? *measured * later : 0.0f, display_white(frame->code_offset));
 }
 
 /* Images of the rendered frame that its fragments bring along. */

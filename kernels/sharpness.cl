@@ -13,26 +13,35 @@
 #define LEAST_EVIDENCE 0.005f /* with as much evidence, half of the sharpness found counts */
 #define DOUBT 0.05f /* of the sharpness found, by which it may be too much */
 #define SHARPEST 2.0f
-#define UNIT 65536.0f /* of sums in integers, which depend on no order */
+#define UNIT 524288.0f /* of sums in integers, which depend on no order: no sample adds more than 1 */
 
 /* Sums, over the samples, of products: what a sharpness of 1 changes, times the difference that is to be explained, and
    times itself. Of `pending` also the number of work-groups that have added theirs. */
 enum { EXPLAINED, CHANGED, ADDED };
 
-/* Cubic interpolation of the codes of an image in linear light. */
+/* An image, and 1 / the color that is displayed as white. */
 typedef struct {
     __global const half *color;
-    float code_offset;
-} Linear;
-#define load_code_of(i, image) ((float4)(load_code((image).color, i, (image).code_offset), 0.0f))
-DEFINE_CUBIC(float4, const Linear, load_code_of, OF_LANE, widen_linear, LinearSums, add_linear_column, cubic_of_linear)
+    float per_white;
+} Shown;
 
-/* Adds a sample at (x, y), white being 1: `sums` by EXPLAINED and CHANGED. */
+/* Luminance of a pixel as it is displayed, about, in a code in which equal steps look about equal. NaN counts as 0. */
+INLINE float luma(const int i, const Shown image) {
+    const float4 c = load_texel(i, image.color);
+    const float light = (0.25f * c.x + 0.5f * c.y + 0.25f * c.z) * image.per_white;
+    const float dark = 1.0f - fmin(fmax(light, 0.0f), 1.0f), dark2 = dark * dark;
+    return 1.0f - dark2 * dark2;
+}
+
+#define OF_SAMPLE(v, k) float_of(&(v), k)
+DEFINE_CUBIC(float, const Shown, luma, OF_SAMPLE, cubic_luma)
+
+/* Adds a sample at (x, y): `sums` by EXPLAINED and CHANGED. */
 INLINE void compare(const int x, const int y, __constant Frame *frame, __global const half *color,
                     __global const float *depth, __global const float2 *motion, __global const uchar *dynamic_mask,
                     __global const half *color_prev, __global const float *depth_prev, float *sums) {
     const int width = frame->source_width, height = frame->source_height, src = y * width + x;
-    const float offset = frame->code_offset, z = depth[src];
+    const float z = depth[src];
     if (INVALID_DEPTH(z) || isinf(z)) return;
     const float3 px = dynamic_mask[src] == STATIC ? reproject(pixel_center(x, y), z, frame->to_previous)
                                                   : (float3)(pixel_center(x, y) + motion[src], z);
@@ -45,19 +54,16 @@ INLINE void compare(const int x, const int y, __constant Frame *frame, __global 
     }
     const float u = px.x - 0.5f - (float)left, v = px.y - 0.5f - (float)top;
     if (u == 0.0f && v == 0.0f) return; /* nothing changes at the centers of pixels */
-    const Linear before = {color_prev, offset};
+    const float per_white = divide(1.0f, display_white(frame->code_offset));
+    const Shown now = {color, per_white}, before = {color_prev, per_white};
     const int columns[4] = {-1, 0, 1, 2}, rows[4] = ROWS_OF_TAPS(top * width + left, width);
-    const Sharpening none = NOT_STEEPER(CATMULL_ROM), sharp = sharpening(1.0f, offset);
     Cubic cubic;
-    cubic_between((Floats)(u), (Floats)(v), none, &cubic);
-    const float3 plain = cubic_of_linear(columns, rows, &cubic, 0, before).xyz;
-    cubic_between((Floats)(u), (Floats)(v), sharp, &cubic);
-    const float3 steeper = cubic_of_linear(columns, rows, &cubic, 0, before).xyz;
-    const float per_white = sharp.per_range * (FULL_EDGE - LEAST_EDGE);
-    const float3 now = load_code(color, src, offset) * per_white, change = (steeper - plain) * per_white;
-    const float3 off = fmin(now, 1.0f) - fmin(plain * per_white, 1.0f);
-    sums[EXPLAINED] += off.x * change.x + off.y * change.y + off.z * change.z;
-    sums[CHANGED] += change.x * change.x + change.y * change.y + change.z * change.z;
+    cubic_between((Floats)(u), (Floats)(v), sharpening(0.0f, 1.0f), &cubic);
+    const float plain = cubic_luma(columns, rows, &cubic, 0, before);
+    cubic_between((Floats)(u), (Floats)(v), sharpening(1.0f, 1.0f), &cubic);
+    const float change = cubic_luma(columns, rows, &cubic, 0, before) - plain;
+    sums[EXPLAINED] += (luma(src, now) - plain) * change;
+    sums[CHANGED] += change * change;
 }
 
 /* A sample per work-item, a row of them per work-group. The last group finds the sharpness. */

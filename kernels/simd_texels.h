@@ -69,7 +69,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     const Floats corner_x = (use ? px_x : (Floats)(0.5f)) - 0.5f, corner_y = (use ? px_y : (Floats)(0.5f)) - 0.5f;
     const Floats first_x = floor(corner_x), first_y = floor(corner_y);
     const Ints x = to_ints(first_x) - 1, y = to_ints(first_y) - 1;
-    const Sharpening sharp = NOT_STEEPER(slope);
+    const Sharpening sharp = NO_EDGES(slope);
     Cubic cubic;
     cubic_between(corner_x - first_x, corner_y - first_y, sharp, &cubic);
     const Ints first = y * width + x;

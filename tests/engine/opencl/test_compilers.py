@@ -325,8 +325,6 @@ EXCESSES = {
     ("background.fill_from_levels", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
-    ("sharpness.measure_sharpness", "sm_86", "registers"): ("a lattice of few samples", ""),
-    ("sharpness.measure_sharpness", "dg2-g10", "SIMD8"): ("a lattice of few samples", ""),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("prediction.predict_positions", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("scenes/scene.shade", "sm_86", "memory"): (_SCENES, ""),

@@ -3,9 +3,18 @@
 import numpy as np
 
 from twins.common import F, invalid, kernel_constants, reproject, white
-from twins.warp import cubic_of, load_code
+from twins.warp import cubic_of
 
 SHARPNESS = kernel_constants("sharpness.cl")
+
+
+def _luma(color):
+    """Return the luminance (…, 1) of colors in its code."""
+    r, g, b = (color[..., k].astype(F) for k in range(3))
+    with np.errstate(invalid="ignore"):
+        light = (F(0.25) * r + F(0.5) * g + F(0.25) * b) / white()
+    dark = F(1) - np.fmin(np.fmax(light, F(0)), F(1))
+    return (F(1) - dark**4)[..., None]
 
 
 def compare(color, depth, motion, dynamic, color_prev, depth_prev, to_previous):
@@ -39,9 +48,8 @@ def compare(color, depth, motion, dynamic, color_prev, depth_prev, to_previous):
             there = depth_prev[top + (k >> 1), left + (k & 1)]
             same &= np.abs(there - met) <= SHARPNESS.SAME_SHAPE * met
     x, y, left, top, u, v = (a[same] for a in (x, y, left, top, u, v))
-    before = load_code(color_prev)
+    before = _luma(color_prev)
     taps = {(ty, tx): before[top + ty - 1, left + tx - 1] for ty in range(4) for tx in range(4)}
-    plain, sharp = (cubic_of(taps, u, v, F(k)) / white() for k in (0, 1))
-    now = load_code(color)[y, x] / white()
-    off, change = np.minimum(now, F(1)) - np.minimum(plain, F(1)), sharp - plain
+    plain, sharp = (cubic_of(taps, u, v, F(k), F(1)) for k in (0, 1))
+    off, change = _luma(color)[y, x] - plain, sharp - plain
     return float((off * change).sum()), float((change * change).sum())

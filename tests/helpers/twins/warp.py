@@ -262,25 +262,25 @@ def later(sharpness, alpha):
     return F(sharpness) * np.maximum(WARP.SHARP_AT_ONCE - WARP.LESS_SHARP_LATER * F(alpha), F(0))
 
 
-def cubic_of(taps, u, v, sharpness):
-    """Return codes (…, 3) at (u, v) from the first inner tap of 4×4 `taps`, by row and column, without corners."""
+def cubic_of(taps, u, v, sharpness, white):
+    """Return codes at (u, v) from the first inner tap of 4×4 `taps`, by row and column, without corners."""
     slope = WARP.CATMULL_ROM + WARP.SHARPER_SLOPE * sharpness
     wx, wy = cubic_weights(u, slope), cubic_weights(v, slope)
     wx = wx * (F(1) / (F(1) - (wx[0] + wx[3]) * (wy[0] + wy[3])))
-    cubic = np.zeros((*u.shape, 3), F)
+    cubic = F(0)
     for tx in range(4):
         column = wy[1][..., None] * taps[1, tx] + wy[2][..., None] * taps[2, tx]
         if tx in (1, 2):
             column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
         cubic = cubic + wx[tx][..., None] * column
-    used = np.stack([taps[ty, tx] for ty in range(4) for tx in range(4) if ty in (1, 2) or tx in (1, 2)])
+    outer = np.stack([taps[1, 0], taps[3, 1], taps[0, 2], taps[2, 3]])
     inner = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
     low, high = inner.min(0), inner.max(0)
     span = WARP.FULL_EDGE - WARP.LEAST_EDGE
-    share = np.clip((high - low) * (F(1 / span) / white()) - F(WARP.LEAST_EDGE / span), F(0), F(1))
+    edge = np.clip((high - low) * (F(1 / span) / white) - F(WARP.LEAST_EDGE / span), F(0), F(1))
     midway = F(1) - np.abs(F(2) * u - F(1)) * np.abs(F(2) * v - F(1))
     amount = (WARP.STEEPER * sharpness * midway)[..., None]
-    cubic = cubic + amount * share * (cubic - F(0.5) * (used.min(0) + used.max(0)))
+    cubic = cubic - amount * edge * (F(0.5) * (outer.min(0) + outer.max(0)) - cubic)
     return np.clip(cubic, low, high)
 
 
@@ -289,7 +289,7 @@ def resampled(taps, alike, u, v, own, sharpness):
     `own` where none is."""
     told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
     everywhere = np.all([alike[tap] for tap in told_by], axis=0)
-    cubic = cubic_of(taps, u, v, sharpness)
+    cubic = cubic_of(taps, u, v, sharpness, white())
     linear, weights = np.zeros((*u.shape, 3), F), np.zeros(u.shape, F)
     for tap in range(4):
         tx, ty = tap & 1, tap >> 1
