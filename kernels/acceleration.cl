@@ -11,8 +11,7 @@
 
 /* What set the thresholds: docs/deviations.md, "Movers' acceleration goes on", "Objects that the camera carries move
    on in view space". */
-/* BEND_MOST: an acceleration of more than this share of the velocity counts less, the more the larger it is */
-#define BEND_MOST 0.5f
+#define BEND_MOST 0.5f /* share of the velocity: the more an acceleration exceeds it, the less it counts */
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define SLOWS 1.5f /* times the share that there was before: what counts of it where a mover slows down */
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
@@ -23,8 +22,7 @@
 /* SHAKEN: a mover begins to be carried only where its velocity in the world has changed by more than this share of
    its distance: without a shake both spaces fit */
 #define SHAKEN 0.004f
-/* TURN_MOST: a change of more than this share of the acceleration counts less, the more the larger it is */
-#define TURN_MOST 0.5f
+#define TURN_MOST 0.5f /* share of the acceleration: the more its change exceeds it, the less that counts */
 
 /* Mean values of a cell's fragments of one mover. */
 typedef struct {
@@ -128,11 +126,10 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
                                         __global const uint2 *view_velocity_prev, __global float4 *velocity,
                                         __global uint2 *acceleration, __global uint2 *bend,
                                         __global uint2 *view_velocity) {
-    const Tracked fragments = {.depth = depth, .motion = motion, .dynamic_mask = dynamic_mask, .met_depth = met_depth};
+    const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
     const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
     const float ratio = frame->interval_ratio;
-    const Reprojection from_previous = frame->from_previous;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
@@ -150,23 +147,23 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     float weight_sum = 0.0f, before_weight_sum = 0.0f;
     bool was_carried = false;
     for (int tap = 0; tap < 4; ++tap) {
-        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
-        if (!inside(tap_x, tap_y, level_width, level_height)) continue;
-        const float4 v = velocity_prev[tap_y * level_width + tap_x];
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * level_width + x;
+        if (!inside(x, y, level_width, level_height)) continue;
+        const float4 v = velocity_prev[i];
         if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
         const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
         velocity_sum += weight * v.xyz;
-        const uint2 seen = view_velocity_prev[tap_y * level_width + tap_x];
-        view_velocity_sum += weight * unpacked(seen);
-        was_carried |= is_trusted(seen);
+        view_velocity_sum += weight * unpacked(view_velocity_prev[i]);
+        was_carried |= is_trusted(view_velocity_prev[i]);
         weight_sum += weight;
-        const uint2 a = acceleration_prev[tap_y * level_width + tap_x];
+        const uint2 a = acceleration_prev[i];
         if (!is_trust_known(a)) continue;
         before_sum += weight * unpacked(a);
         before_weight_sum += weight;
     }
     if (!(weight_sum > 0.0f)) return;
-    float3 now = mover.velocity, was = ratio * rotate_to_target(mean_of(velocity_sum, weight_sum), from_previous);
+    float3 now = mover.velocity;
+    float3 was = ratio * rotate_to_target(mean_of(velocity_sum, weight_sum), frame->from_previous);
     bool carried = false;
     if (frame->camera_fixed) {
         const float3 seen = ratio * mean_of(view_velocity_sum, weight_sum);
@@ -185,7 +182,7 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     float3 later = found;
     if (before_weight_sum > 0.0f && carried == was_carried) {
         const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
-        const float3 before = carried ? found_before : rotate_to_target(found_before, from_previous);
+        const float3 before = carried ? found_before : rotate_to_target(found_before, frame->from_previous);
         share = lasted(now, found, before);
         later = carried_on(found, before);
     }

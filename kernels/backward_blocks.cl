@@ -21,8 +21,7 @@
 #define SHEAR_MOST 0.25f /* of a smooth block, per source pixel and zoom ... */
 #define STRETCH_LOW 0.5f /* ... and how it is stretched */
 #define STRETCH_HIGH 2.0f
-/* AFFINE_MOST: 2^-10 px: by how much a target block's corners deviate from the inverse of its flow */
-#define AFFINE_MOST 0.0009765625f
+#define AFFINE_MOST 0.0009765625f /* px: by how much a block's corners deviate from the inverse of its flow */
 #define HALF_LEAST 0.5f /* px: a fragment always covers the pixel that it lands on */
 #define ROUNDING 0.01f /* px: more than the footprint's rounding in warp.cl */
 
@@ -31,39 +30,18 @@ typedef struct {
     float x0, y0, x1, y1;
 } Box;
 
-/* The blocks that LANES fragments reach together. */
-typedef struct {
-    Floats x0, y0, x1, y1;
-} Boxes;
-
-INLINE Box box_of(const Boxes boxes) {
-    Box box = {FIRST_LANE(boxes.x0), FIRST_LANE(boxes.y0), FIRST_LANE(boxes.x1), FIRST_LANE(boxes.y1)};
-    for (int k = 1; k < LANES; ++k) {
-        box.x0 = fmin(box.x0, float_of(&boxes.x0, k));
-        box.y0 = fmin(box.y0, float_of(&boxes.y0, k));
-        box.x1 = fmax(box.x1, float_of(&boxes.x1, k));
-        box.y1 = fmax(box.y1, float_of(&boxes.y1, k));
-    }
-    return box;
-}
-
-/* The reach of a source block; one that touches the border of the image is looked at pixel by pixel. */
+/* The reach of a source block; beyond the image its last pixels count again. */
 INLINE Box reach_of(const Fragments f, const int x0, const int y0) {
-    const bool inner = x0 >= 1 && y0 >= 1 && x0 + BLOCK_WIDTH + 1 <= f.width && y0 + BLOCK_HEIGHT + 1 <= f.height;
     const Floats reach = (Floats)(FOOTPRINT_REACH), far_off = (Floats)(INFINITY);
-    Boxes boxes = {far_off, far_off, -far_off, -far_off};
+    Floats low_x = far_off, low_y = far_off, high_x = -far_off, high_y = -far_off;
     for (int src_y = y0; src_y < min(y0 + BLOCK_HEIGHT, f.height); ++src_y)
-        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); src_x += inner ? LANES : 1) {
-            const int src = src_y * f.width + src_x;
+        for (int src_x = x0; src_x < min(x0 + BLOCK_WIDTH, f.width); src_x += LANES) {
+            Places src;
             Positions at;
             WideFlow flow;
-            if (inner)
-                load_positions_of_run(f, src, &at);
-            else
-                load_positions_of_one(f, src, f.links[src], &at);
-            const Ints bits = inner ? to_ints(load_bytes(0, f.links + src)) : (Ints)(f.links[src]);
-            const Floats z_source = inner ? load_floats(0, f.depth + src) : (Floats)(f.depth[src]);
-            wide_flow(at, bits, z_source, f.zoom, &flow);
+            find_places(src_y * f.width + min(src_x + LANE_NUMBERS, (Ints)(f.width - 1)), f.width, f.plane, &src);
+            load_positions(f, src, &at);
+            wide_flow(at, to_ints(bytes_at(f.links, src)), floats_at(f.depth, src), f.zoom, &flow);
             const Floats x = at.x.here, y = at.y.here;
             const Ints lands = (at.z.here > 0.0f) & (x > -reach) & (y > -reach) & (x < (float)f.target_width + reach)
                                & (y < (float)f.target_height + reach);
@@ -71,12 +49,19 @@ INLINE Box reach_of(const Fragments f, const int x0, const int y0) {
             const Floats high = wide_lesser(FOOTPRINT_HALF * (fabs(flow.xy) + fabs(flow.yy)), reach);
             const Floats half_x = wide_greater(wide, (Floats)(HALF_LEAST)),
                          half_y = wide_greater(high, (Floats)(HALF_LEAST));
-            boxes.x0 = wide_lesser(lands ? x - half_x : far_off, boxes.x0);
-            boxes.y0 = wide_lesser(lands ? y - half_y : far_off, boxes.y0);
-            boxes.x1 = wide_greater(boxes.x1, lands ? x + half_x : -far_off);
-            boxes.y1 = wide_greater(boxes.y1, lands ? y + half_y : -far_off);
+            low_x = wide_lesser(lands ? x - half_x : far_off, low_x);
+            low_y = wide_lesser(lands ? y - half_y : far_off, low_y);
+            high_x = wide_greater(high_x, lands ? x + half_x : -far_off);
+            high_y = wide_greater(high_y, lands ? y + half_y : -far_off);
         }
-    return box_of(boxes);
+    Box box = {INFINITY, INFINITY, -INFINITY, -INFINITY};
+    for (int k = 0; k < LANES; ++k) {
+        box.x0 = fmin(box.x0, float_of(&low_x, k));
+        box.y0 = fmin(box.y0, float_of(&low_y, k));
+        box.x1 = fmax(box.x1, float_of(&high_x, k));
+        box.y1 = fmax(box.y1, float_of(&high_y, k));
+    }
+    return box;
 }
 
 /* Whether the links of all pixels up to two beyond the block are complete. */
@@ -165,24 +150,24 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
                               __global const uchar *links, __global const float *target_position,
                               __global const int *last_stir, __global uchar *smooth, __global short4 *reach,
                               __global int *reached_by) {
-    const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const Fragments fragments = fragments_of(frame, depth, target_position, links);
     const int bx = get_global_id(0), by = get_global_id(1);
-    const int source_blocks = block_columns(source_width);
-    if (bx >= source_blocks || by >= block_rows(source_height)) return;
-    if (stays_put(by * source_blocks + bx, frame, last_stir)) {
-        smooth[by * source_blocks + bx] = RESTING;
-        reach[by * source_blocks + bx] = (short4)(bx, by, bx, by);
+    const int columns = block_columns(frame->source_width), block = by * columns + bx;
+    if (bx >= columns || by >= block_rows(frame->source_height)) return;
+    if (stays_put(block, frame, last_stir)) {
+        smooth[block] = RESTING;
+        reach[block] = (short4)(bx, by, bx, by);
         return;
     }
+
+    /* The block's reach in the new frame ... */
+    const Fragments fragments = fragments_of(frame, depth, target_position, links);
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
     const int of_block = smoothness(fragments, x0, y0, &box);
     const bool is_smooth = of_block != 0;
     if (!is_smooth) box = reach_of(fragments, x0, y0);
-    smooth[by * source_blocks + bx] = of_block;
-    const int target_blocks = block_columns(target_width);
+    smooth[block] = of_block;
     const float first_x = ceil(box.x0 - (0.5f + ROUNDING)), first_y = ceil(box.y0 - (0.5f + ROUNDING));
     const float last_x = floor(box.x1 - (0.5f - ROUNDING)), last_y = floor(box.y1 - (0.5f - ROUNDING));
     int4 reached = (int4)(1, 1, 0, 0);
@@ -190,13 +175,15 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
         reached = (int4)((int)fmax(first_x, 0.0f) / BLOCK_WIDTH, (int)fmax(first_y, 0.0f) / BLOCK_HEIGHT,
                          (int)fmin(last_x, (float)(target_width - 1)) / BLOCK_WIDTH,
                          (int)fmin(last_y, (float)(target_height - 1)) / BLOCK_HEIGHT);
-    reach[by * source_blocks + bx] = convert_short4(reached);
+    reach[block] = convert_short4(reached);
+
+    /* ... is noted in the blocks that it meets. */
     const int extent[4] = {FAR_OFF - (is_smooth ? bx : 0), FAR_OFF - (is_smooth ? by : 0), is_smooth ? bx + 1 : FAR_OFF,
                            is_smooth ? by + 1 : FAR_OFF};
     for (int y = reached.y; y <= reached.w; ++y)
         for (int x = reached.x; x <= reached.z; ++x)
             for (int k = 0; k < 4; ++k) {
-                __global int *most = reached_by + 4 * (y * target_blocks + x) + k;
+                __global int *most = reached_by + 4 * (y * block_columns(target_width) + x) + k;
                 /* on CPUs a plain look costs less than an atomic, which most blocks then need not make */
                 if (LANES > 1 && LOOKS && *most >= extent[k]) continue;
                 atomic_max(most, extent[k]);
@@ -255,12 +242,11 @@ SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global 
                                      __global Key *keys, __global uint *winners) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const int softens = frame->softens;
     const int bx = get_global_id(0), by = get_global_id(1);
     const int source_blocks = block_columns(source_width), target_blocks = block_columns(target_width);
     if (bx >= target_blocks || by >= block_rows(target_height)) return;
     const int block = by * target_blocks + bx;
-    if (softens) marked[block] = 0;
+    if (frame->softens) marked[block] = 0;
     __global int *reached = reached_by + 4 * block;
     int4 extent = (int4)(FAR_OFF - reached[0], FAR_OFF - reached[1], reached[2] - 1, reached[3] - 1);
     if (frame->stays && smooth[block] == RESTING) { /* source and target have the same blocks */

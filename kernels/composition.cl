@@ -12,10 +12,8 @@
 /* Depth without overlays that stay in place: no stage splats, collects or meets them. */
 __kernel void leave_out_fixed(__constant Frame *restrict frame, __global const float *depth,
                               __global const uchar *fixed_mask, __global float *out_depth) {
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= source_width || y >= source_height) return;
-    const int i = y * source_width + x;
+    const int x = get_global_id(0), y = get_global_id(1), i = y * frame->source_width + x;
+    if (x >= frame->source_width || y >= frame->source_height) return;
     out_depth[i] = fixed_mask[i] ? NAN : depth[i];
 }
 
@@ -58,20 +56,12 @@ __kernel void compose(__constant Frame *restrict frame, const int is_rendered, _
                       __global const half *source_color, __global const float *source_depth, __global const half *color,
                       __global half *out_color, __global float *depth, __global float2 *motion, __global uchar *dynamic,
                       __global uchar *disoccluded, __global uchar *filled_by) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
-    const float4 to_render = frame->to_render;
-    const float alpha = is_rendered ? 0.0f : frame->alpha;
-    const int has_fixed_mask = (frame->has_overlays & 1) && !is_rendered;
-    const int has_effects = frame->has_overlays & 2;
-    const int has_effects_motion = frame->has_overlays & 4;
-    const int has_ui = frame->has_overlays & 8;
-    const int x = get_global_id(0), y = get_global_id(1);
-    if (x >= target_width || y >= target_height) return;
-    const int dst = y * target_width + x;
-    const float2 px = pixel_center(x, y), px_render = px * to_render.xy + to_render.zw;
+    const int x = get_global_id(0), y = get_global_id(1), dst = y * frame->target_width + x;
+    if (x >= frame->target_width || y >= frame->target_height) return;
+    const float2 px = pixel_center(x, y), px_render = px * frame->to_render.xy + frame->to_render.zw;
     float3 picture = load_color(color, dst);
-    if (has_fixed_mask) {
+    if ((frame->has_overlays & FIXED_MASK) && !is_rendered) {
         const float2 place = floor(px_render);
         const bool rendered = holds(source_width, source_height, place);
         const int src = rendered ? (int)place.y * source_width + (int)place.x : 0;
@@ -84,11 +74,13 @@ __kernel void compose(__constant Frame *restrict frame, const int is_rendered, _
             filled_by[dst] = BY_FIXED;
         }
     }
-    if (has_effects) {
+    if (frame->has_overlays & EFFECTS) {
+        const float alpha = is_rendered ? 0.0f : frame->alpha;
         float2 from = px_render;
-        if (has_effects_motion) from = effects_origin(px_render, alpha, effects_motion, source_width, source_height);
+        if (frame->has_overlays & EFFECTS_MOTION)
+            from = effects_origin(px_render, alpha, effects_motion, source_width, source_height);
         picture = over(layer_at(effects, from, source_width, source_height), picture);
     }
-    if (has_ui) picture = over(load_layer(ui, dst), picture);
+    if (frame->has_overlays & USER_INTERFACE) picture = over(load_layer(ui, dst), picture);
     store_color(picture, out_color, dst);
 }

@@ -248,22 +248,17 @@ find_links(__constant Frame *frame, __global const float *depth, __global const 
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int collect = frame->collects && frame->has_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
-    const Collecting to = {.state = state,
-                           .fill_keys = fill_keys,
-                           .fill_winners = fill_winners,
-                           .push_keys = push_keys,
-                           .push_winners = push_winners};
+    const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
 #if LANES == 8
     if (src_x >= source_width || src_y >= source_height) return;
     if (links_are_known(block_of(src_x, src_y, source_width), frame, last_stir)) return;
     const bool inner =
         src_x >= MORE && src_x + LANES + MORE <= source_width && src_y >= REACH && src_y + REACH < source_height;
-    Place p = {source_width, source_height, src_x, src_y, inner, depth, dynamic_mask};
+    Place p = {source_width, source_height, src_x, src_y, false, depth, dynamic_mask};
     if (inner) {
         p.inner = true;
         find(p, collect, frame->levels == 1, links, to);
     } else {
-        p.inner = false;
         find(p, collect, frame->levels == 1, links, to);
     }
 #else

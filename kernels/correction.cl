@@ -16,16 +16,15 @@
 #define JUDGED 4 /* channels before them: own flow (2), how far the found one is followed, how long trends last */
 #define SEEN 16 /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
 #define HIDDEN 16 /* channels of its hidden layer */
-/* SAID: outputs: change of color (3), detail that is kept, likelihood of the focus mask, share of the trend */
-#define SAID 6
+#define SAID 6 /* outputs: change of color (3), detail that is kept, likelihood of the mask, share of the trend */
 #define KEPT 3 /* channels of the correction, after its change of color: detail that is kept, ... */
 #define MASK 4 /* ... focus mask */
 #define SLOPE 0.1f /* of leaky rectifiers */
-/* DISOCCLUDED_BELOW: mean input mask of four pixels, of which one is disoccluded and none dynamic: at most 0.375 */
-#define DISOCCLUDED_BELOW 0.4f
+#define DISOCCLUDED_BELOW 0.4f /* mean input mask of four pixels, at most 0.375 with a disoccluded, no dynamic one */
 #define CHANGE_MARGIN 2.0f /* largest continued change of light, times its last change */
-/* TRUSTED: of the focus mask: all while the last change differs by half of its square from the one before, ... */
-#define TRUSTED 3.0f
+#define TRUSTED                                                                                                        \
+    3.0f /* of the mask: all while changes of two intervals differ by half of the square of the last ...               \
+          */
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
 #define FOLLOWED_SHARE 0.5f /* of a color that follows the flow; docs/deviations.md, "What the image flow explains" */
@@ -117,7 +116,7 @@ INLINE Floats moved_light(__global const float *frame_now, __global const float 
                  changed_there = CHANGE_MARGIN * (there - sampled_by_runs(frame_before, along));
     const Floats least = wide_lesser(wide_lesser(changed, changed_there), (Floats)(0.0f));
     const Floats most = wide_greater(wide_greater(changed, changed_there), (Floats)(0.0f));
-    return wide_lesser(wide_greater(moved, least), most);
+    return within_limits(moved, least, most);
 }
 
 /* Whether the focus mask is trusted anywhere in the 3x3 pixels around, of width by height, of half the size: elsewhere
@@ -189,10 +188,10 @@ WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __gl
 }
 
 /* Stores the lanes of a mixture that hold, and of the others the extrapolated color's own bits. */
-INLINE void store_where(const Ints holds, const WideRgb c, const int count, __global const half *color,
+INLINE void store_where(const Ints holds, const Wide4 c, const int count, __global const half *color,
                         __global half *out) {
     if (count >= LANES && ALL(holds)) {
-        store_strip(strip_of(c.r, c.g, c.b, (Floats)(0.0f)), count, out);
+        store_channels(c, count, out);
         return;
     }
     if (count >= LANES && !ANY(holds)) {
@@ -201,9 +200,17 @@ INLINE void store_where(const Ints holds, const WideRgb c, const int count, __gl
     }
     for (int k = 0; k < min(count, LANES); ++k)
         if (int_of(&holds, k))
-            store_color((float3)(float_of(&c.r, k), float_of(&c.g, k), float_of(&c.b, k)), out, k);
+            store_color((float3)(float_of(&c.c[0], k), float_of(&c.c[1], k), float_of(&c.c[2], k)), out, k);
         else
             ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
+}
+
+/* `now`, and as much of `then` as its share tells. */
+INLINE Wide4 mixed(const Wide4 now, const Wide4 then, const Floats share) {
+    const Floats rest = 1.0f - share;
+    Wide4 c = {{0.0f, 0.0f, 0.0f, 0.0f}};
+    for (int k = 0; k < 3; ++k) c.c[k] = now.c[k] * rest + then.c[k] * share;
+    return c;
 }
 
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that
@@ -213,38 +220,34 @@ WIDE __kernel void correct(__constant Frame *restrict frame, const int asked, __
                            __global const float *frames, __global const float *correction, __global half *refined,
                            __global half *focus_mask, __global half *out_color) {
     const bool within_mask = asked & WITHIN_MASK, with_refined = asked & WITH_REFINED;
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int network_width = frame->network_width, network_height = frame->network_height;
+    const int target_width = frame->target_width, network_width = frame->network_width,
+              network_height = frame->network_height;
     const float4 law = frame->color_law;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
-    if (x >= target_width || y >= target_height) return;
+    if (x >= target_width || y >= frame->target_height) return;
     const int i = y * target_width + x, plane = network_width * network_height, count = target_width - x;
     Taps taps;
     taps_around(x, y, network_width, network_height, &taps);
     const Floats m = interpolate(correction + MASK * plane, &taps);
+    Wide4 made = {{0.0f, 0.0f, 0.0f, 0.0f}};
     if (within_mask && !with_refined && !ANY(m >= LEAST_MASK)) {
-        const WideRgb none = {0.0f, 0.0f, 0.0f};
         store_some_halfs((Floats)(0.0f), count, focus_mask + i);
-        store_where((Ints)(0), none, count, color + 4 * i, out_color + 4 * i);
+        store_where((Ints)(0), made, count, color + 4 * i, out_color + 4 * i);
         return;
     }
-    const WideRgb c = finite_rgb(load_some_rgb(count, color + 4 * i));
+    const Wide4 now = finite_rgb(load_some_channels(count, color + 4 * i));
     const Floats keep = interpolate(correction + KEPT * plane, &taps);
-    const Floats low_r = interpolate(frames, &taps);
-    const Floats low_g = interpolate(frames + plane, &taps);
-    const Floats low_b = interpolate(frames + 2 * plane, &taps);
-    const Floats e_r = low_r + interpolate(correction, &taps) + keep * (encode(c.r, law) - low_r);
-    const Floats e_g = low_g + interpolate(correction + plane, &taps) + keep * (encode(c.g, law) - low_g);
-    const Floats e_b = low_b + interpolate(correction + 2 * plane, &taps) + keep * (encode(c.b, law) - low_b);
-    const Ints usable = isfinite(e_r + e_g + e_b + m);
+    for (int k = 0; k < 3; ++k) {
+        const Floats low = interpolate(frames + k * plane, &taps), change = interpolate(correction + k * plane, &taps);
+        made.c[k] = low + change + keep * (encode(now.c[k], law) - low);
+    }
+    const Ints usable = isfinite(made.c[0] + made.c[1] + made.c[2] + m);
     const Floats mask = (usable & (m >= LEAST_MASK)) ? wide_lesser(m, (Floats)(1.0f)) : (Floats)(0.0f);
     store_some_halfs(mask, count, focus_mask + i);
-    const WideRgb made = {decode(e_r, law), decode(e_g, law), decode(e_b, law)};
+    for (int k = 0; k < 3; ++k) made.c[k] = decode(made.c[k], law);
     if (with_refined) store_where(usable, made, count, color + 4 * i, refined + 4 * i);
-    const Floats whole = usable ? (Floats)(1.0f) : (Floats)(0.0f), share = within_mask ? mask : whole,
-                 rest = 1.0f - share;
-    const WideRgb mixed = {c.r * rest + made.r * share, c.g * rest + made.g * share, c.b * rest + made.b * share};
-    store_where(share > 0.0f, mixed, count, color + 4 * i, out_color + 4 * i);
+    const Floats whole = usable ? (Floats)(1.0f) : (Floats)(0.0f), share = within_mask ? mask : whole;
+    store_where(share > 0.0f, mixed(now, made, share), count, color + 4 * i, out_color + 4 * i);
 }
 
 /* Whether any of the pixels of a quarter of the resolution between which those of the display from (x, y) on lie is
@@ -273,21 +276,20 @@ WIDE __kernel void follow_flow(__constant Frame *restrict frame, __global const 
     for (int y = first; y < min(first + FOLLOWED_ROWS, target_height); ++y) {
         Sample near, coarse, there;
         find_shrunk(x, y, 4.0f, width, height, &near);
-        const Floats share = FOLLOWED_SHARE * sampled(followed, &near), rest = 1.0f - share;
+        const Floats share = FOLLOWED_SHARE * sampled(followed, &near);
         find_shrunk(x, y, 8.0f, width / 2, height / 2, &coarse);
         const float pixels = 4.0f * frame->alpha; /* of the display, until t + alpha */
         find_sample(row_indices(x) + pixels * sampled(flow, &coarse),
                     (float)y + pixels * sampled(flow + width * height / 4, &coarse), target_width, target_height,
                     &there);
         const Ints below = there.tap + there.down;
-        const WideRgb a = gather_rgb(extrapolated, there.tap), b = gather_rgb(extrapolated, there.tap + there.right),
-                      c = gather_rgb(extrapolated, below), d = gather_rgb(extrapolated, below + there.right);
-        const WideRgb moved = {between_taps(a.r, b.r, c.r, d.r, &there), between_taps(a.g, b.g, c.g, d.g, &there),
-                               between_taps(a.b, b.b, c.b, d.b, &there)};
+        const Wide4 a = gather_channels(extrapolated, there.tap),
+                    b = gather_channels(extrapolated, there.tap + there.right),
+                    c = gather_channels(extrapolated, below), d = gather_channels(extrapolated, below + there.right);
+        Wide4 moved = a;
+        for (int k = 0; k < 3; ++k) moved.c[k] = between_taps(a.c[k], b.c[k], c.c[k], d.c[k], &there);
         __global half *out = color + 4 * (y * target_width + x);
-        const WideRgb now = finite_rgb(load_some_rgb(count, out)), then = finite_rgb(moved);
-        const WideRgb mixed = {now.r * rest + then.r * share, now.g * rest + then.g * share,
-                               now.b * rest + then.b * share};
-        store_where(share > 0.0f, mixed, count, out, out);
+        const Wide4 now = finite_rgb(load_some_channels(count, out));
+        store_where(share > 0.0f, mixed(now, finite_rgb(moved), share), count, out, out);
     }
 }

@@ -27,7 +27,6 @@ INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Fl
 WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pass, __global const float *depth,
                                  __global const float *target_position, __global Key *keys, __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height, plane = width * height;
-    const int target_width = frame->target_width, target_height = frame->target_height;
     const float2 zoom = frame->zoom;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
@@ -43,10 +42,10 @@ WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pas
                  px_y = floats_at(target_position + plane, places) + zoom.y * down;
     const Floats from_x = row_centers(x) - px_x * divide(1.0f, zoom.x),
                  from_y = (float)y + 0.5f - px_y * divide(1.0f, zoom.y);
-    const Ints lands = (z > 0.0f) & (px_x >= 0.0f) & (px_x < (float)target_width) & (px_y >= 0.0f)
-                       & (px_y < (float)target_height) & (fabs(from_x) <= LONGEST) & (fabs(from_y) <= LONGEST);
+    const Ints lands = (z > 0.0f) & (px_x >= 0.0f) & (px_x < (float)frame->target_width) & (px_y >= 0.0f)
+                       & (px_y < (float)frame->target_height) & (fabs(from_x) <= LONGEST) & (fabs(from_y) <= LONGEST);
     if (!ANY(lands)) return;
-    offer_vectors(pass, keys, winners, width - x, target_width, lands, px_x, px_y, from_x, from_y, z);
+    offer_vectors(pass, keys, winners, width - x, frame->target_width, lands, px_x, px_y, from_x, from_y, z);
 }
 
 /* Where the pixel (x, y), which none reached, comes from, less (x, y) / zoom: with the nearest surface within
@@ -59,7 +58,7 @@ INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __
     const int width = frame->source_width, height = frame->source_height, plane = width * height;
     const float2 px = pixel_center(x, y), per_px = (float2)(divide(1.0f, frame->zoom.x), divide(1.0f, frame->zoom.y)),
                  own = (float2)(px.x * per_px.x, px.y * per_px.y);
-    const Origin from = {.z = target_position + 2 * plane, .width = width, .height = height, .here = own};
+    const Origin from = {target_position + 2 * plane, width, height, own};
     const uint word = nearest_beside(keys, winners, x, y, frame->target_width, frame->target_height, from);
     float2 place = own;
     if (word != NOBODY) {

@@ -26,15 +26,10 @@ typedef struct {
 
 INLINE Fragments fragments_of(__constant Frame *frame, __global const float *depth,
                               __global const float *target_position, __global const uchar *links) {
-    const Fragments f = {.depth = depth,
-                         .target_position = target_position,
-                         .links = links,
-                         .width = frame->source_width,
-                         .height = frame->source_height,
-                         .plane = frame->source_width * frame->source_height,
-                         .target_width = frame->target_width,
-                         .target_height = frame->target_height,
-                         .zoom = frame->zoom};
+    const int width = frame->source_width, height = frame->source_height;
+    const Fragments f = {
+        depth,      target_position, links, width, height, width * height, frame->target_width, frame->target_height,
+        frame->zoom};
     return f;
 }
 
@@ -74,31 +69,10 @@ INLINE void load_cross(__global const float *plane, const int source_width, cons
     }
 }
 
-/* One fragment in all lanes. It stands for neighbors that are not linked, which may lie outside of the image. */
-INLINE void load_cross_of_one(__global const float *p, const int source_width, const int bits, Cross *a) {
-    a->here = (Floats)(*p);
-    a->left = (Floats)(p[bits & LINK_LEFT ? -1 : 0]);
-    a->right = (Floats)(p[bits & LINK_RIGHT ? 1 : 0]);
-    a->up = (Floats)(p[bits & LINK_UP ? -source_width : 0]);
-    a->down = (Floats)(p[bits & LINK_DOWN ? source_width : 0]);
-}
-
 /* Predicted positions of LANES fragments and of their neighbors; beyond the image's border of any others. */
 typedef struct {
     Cross x, y, z;
 } Positions;
-
-INLINE void load_positions_of_run(const Fragments f, const int src, Positions *p) {
-    load_cross_of_run(f.target_position + src, f.width, &p->x);
-    load_cross_of_run(f.target_position + f.plane + src, f.width, &p->y);
-    load_cross_of_run(f.target_position + 2 * f.plane + src, f.width, &p->z);
-}
-
-INLINE void load_positions_of_one(const Fragments f, const int src, const int bits, Positions *p) {
-    load_cross_of_one(f.target_position + src, f.width, bits, &p->x);
-    load_cross_of_one(f.target_position + f.plane + src, f.width, bits, &p->y);
-    load_cross_of_one(f.target_position + 2 * f.plane + src, f.width, bits, &p->z);
-}
 
 INLINE void load_positions(const Fragments f, const Places src, Positions *p) {
     load_cross(f.target_position, f.width, src, &p->x);

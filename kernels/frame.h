@@ -51,7 +51,7 @@ typedef struct {
     float camera_step; /* world units that the camera moved since the frame before */
     float motion_invalid; /* the stored number of unwritten vectors; NaN: there is none */
     int depth_law; /* of given depth */
-    int has_overlays; /* that the rendered frame brings: bits, in the order of `OVERLAYS` */
+    int has_overlays; /* that the rendered frame brings, in the order of the host's `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
     int motion; /* whether motion is estimated */
     int entering; /* whether movers that enter through the border go on as they came */
@@ -69,6 +69,12 @@ typedef struct {
     int automatic; /* whether the static threshold follows from the frame */
     int sharpness; /* whether it is measured, and new frames are resampled with it */
 } Frame;
+
+/* Bits of `has_overlays`. */
+#define FIXED_MASK 1
+#define EFFECTS 2
+#define EFFECTS_MOTION 4
+#define USER_INTERFACE 8
 
 /* The side of an image of level `level`, whose texels are 2^level pixels wide and high. */
 INLINE int level_side(const int side, const int level) { return (side + (1 << level) - 1) >> level; }

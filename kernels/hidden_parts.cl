@@ -23,7 +23,6 @@
    reappear". */
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
-/* NEARER: times the depth of a mover: its parts are looked for behind static pixels nearer than that */
 #define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
 
 #define MOVER_REACH 8     /* px, in which movers are looked for ... */
@@ -93,19 +92,14 @@ typedef struct {
 } Side;
 
 INLINE Side look(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
-    Side side = {0, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
-    side.steps = steps_to_mover(dst_x, dst_y, d, frame, f);
-    if (side.steps == 0) return side;
-    const int x = dst_x + side.steps * d.x, y = dst_y + side.steps * d.y, there = y * frame->target_width + x;
+    const Side none = {0, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+    const int steps = steps_to_mover(dst_x, dst_y, d, frame, f);
+    if (steps == 0) return none;
+    const int x = dst_x + steps * d.x, y = dst_y + steps * d.y, there = y * frame->target_width + x;
     const float3 code = load_code(f.color, there, frame->code_offset);
     const float2 px = moves_along(x, y, dst_x, dst_y, frame, f);
-    side.z = f.depth[there];
-    side.weight = divide(1.0f, (float)side.steps * step_length(d));
-    side.code_x = code.x;
-    side.code_y = code.y;
-    side.code_z = code.z;
-    side.px_x = px.x;
-    side.px_y = px.y;
+    const float weight = divide(1.0f, (float)steps * step_length(d));
+    const Side side = {steps, f.depth[there], weight, code.x, code.y, code.z, px.x, px.y};
     return side;
 }
 
@@ -210,17 +204,15 @@ INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *fr
 #define STAYS 0.02f     /* relative depth within which a static point of the frame before is still there */
 #define EMPTY_KEYS 2    /* a pass, before those of nearest.h: sets keys free that parts may be offered to */
 
-/* The rendered frame, the frame before it, and the new one. */
+/* The rendered frame, the depth of the one before it and of the new one, and what is offered to the pixels of this;
+   `offered` lists them. */
 typedef struct {
-    __global const float *depth, *depth_prev, *met_depth, *target_position;
+    __global const float *depth, *depth_prev, *met_depth, *target_position, *shown_depth;
     __global const float2 *motion;
     __global const uchar *dynamic_mask, *links;
-    __global const half *color_prev;
-    __global const float *shown_depth;
     __global Key *keys;
-    __global uint *winners;
+    __global uint *winners, *offered;
     __global uchar *filled_by;
-    __global uint *offered;
 } Parts;
 
 INLINE int2 side(const int k) { return k & 1 ? (int2)(0, 2 - k) : (int2)(1 - k, 0); }
@@ -330,23 +322,10 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
     __local Side sides[TEAMS][DIRECTIONS];
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint found_count;
-    const Images images = {.source_depth = source_depth,
-                           .depth_prev = depth_prev,
-                           .source_motion = source_motion,
-                           .disoccluded = disoccluded,
-                           .is_dynamic = is_dynamic,
-                           .color = color,
-                           .depth = depth,
-                           .motion = motion,
-                           .filled_by = filled_by};
-    const Parts parts = {.depth = source_depth,
-                         .met_depth = met_depth,
-                         .target_position = target_position,
-                         .motion = source_motion,
-                         .dynamic_mask = dynamic_mask,
-                         .links = links,
-                         .keys = keys,
-                         .winners = winners};
+    const Images images = {source_depth, depth_prev, source_motion, disoccluded, is_dynamic,
+                           color,        depth,      motion,        filled_by};
+    const Parts parts = {source_depth, depth_prev, met_depth, target_position, depth,   source_motion,
+                         dynamic_mask, links,      keys,      winners,         offered, filled_by};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     offer_at_edges(reappear, EMPTY_KEYS, frame, parts, found, &found_count);
     if (reappear && get_global_id(0) == 0) offered[0] = 0;
@@ -375,23 +354,14 @@ SCAN_FLAT __kernel void offer_reappearing(__constant Frame *restrict frame, cons
                                           __global uchar *filled_by, __global uint *offered) {
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint found_count;
-    const Parts parts = {.depth = depth,
-                         .depth_prev = depth_prev,
-                         .met_depth = met_depth,
-                         .target_position = target_position,
-                         .motion = motion,
-                         .dynamic_mask = dynamic_mask,
-                         .links = links,
-                         .shown_depth = shown_depth,
-                         .keys = keys,
-                         .winners = winners,
-                         .filled_by = filled_by,
-                         .offered = offered};
+    const Parts parts = {depth,        depth_prev, met_depth, target_position, shown_depth, motion,
+                         dynamic_mask, links,      keys,      winners,         offered,     filled_by};
     offer_at_edges(true, pass, frame, parts, found, &found_count);
 }
 
 /* Code of the color that a mover of depth `met` had at px_prev, where the frame before showed it. */
-INLINE float3 code_before(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
+INLINE float3 code_before(const float2 px_prev, const float met, __constant Frame *frame,
+                          __global const float *depth_prev, __global const half *color_prev) {
     const int width = frame->source_width, height = frame->source_height;
     const int x0 = (int)floor(px_prev.x - 0.5f), y0 = (int)floor(px_prev.y - 0.5f);
     const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
@@ -399,9 +369,9 @@ INLINE float3 code_before(const float2 px_prev, const float met, __constant Fram
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * width + x;
-        if (!inside(x, y, width, height) || !(fabs(f.depth_prev[i] - met) <= SAME_PART * met)) continue;
+        if (!inside(x, y, width, height) || !(fabs(depth_prev[i] - met) <= SAME_PART * met)) continue;
         const float weight = bilinear_weight(tap, u, v);
-        sum += weight * load_code(f.color_prev, i, frame->code_offset);
+        sum += weight * load_code(color_prev, i, frame->code_offset);
         weight_sum += weight;
     }
     return mean_of(sum, weight_sum);
@@ -415,15 +385,14 @@ WALK __kernel void fill_reappearing(__constant Frame *restrict frame, __global c
                                     __global float *depth, __global float2 *motion, __global uchar *is_dynamic,
                                     __global const uint *offered) {
     const int source_width = frame->source_width, target_width = frame->target_width;
-    const Parts parts = {.depth_prev = depth_prev, .color_prev = color_prev};
     const int plane = source_width * frame->source_height;
     for (uint i = get_global_id(0); i < offered[0]; i += get_global_size(0)) {
         const int dst = (int)LISTED(offered, i), dst_x = dst % target_width, dst_y = dst / target_width;
         const int src = (int)winner_of(keys, winners, dst);
         const float3 there = position_of(target_position, src, plane);
         const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
-        store_code(code_before(place + source_motion[src], met_depth[src], frame, parts), color, dst,
-                   frame->code_offset);
+        const float3 code = code_before(place + source_motion[src], met_depth[src], frame, depth_prev, color_prev);
+        store_code(code, color, dst, frame->code_offset);
         depth[dst] = there.z;
         motion[dst] = place - pixel_center(dst_x, dst_y);
         is_dynamic[dst] = DYNAMIC;

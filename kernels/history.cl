@@ -25,19 +25,16 @@
 #define STEP_FIRST 0x3e8 /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
 #define STEP_NONE 0.0009765625f /* px: less is no step at all, but rounding */
 #define STEP_SAMPLES 32 /* fewest pairs of vectors to determine a step */
-/* QUANTIZED_LOW: px: the least threshold in addition to errors of quantization; CAMERA_ERROR is the greatest */
-#define QUANTIZED_LOW 0.125f
+#define QUANTIZED_LOW 0.125f /* px: the least threshold beside errors of quantization; CAMERA_ERROR: the greatest */
 #define LOOKUPS 2 /* at most so many quantized vectors are added to one */
 
 #define NO_MOTION 0.001f /* px: each component of less, with rounding, is within epsilon ... */
 #define LEAST_THRESHOLD 0.01f /* ... if that is at least so much */
-#define STIR_REACH 2 /* px: as far as kernels that skip blocks look around a pixel */
 #define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
-/* DEPTH_CHANGE_MOST: relative change within an interval of a surface that fills the neighborhood of x' */
-#define DEPTH_CHANGE_MOST 0.12f
+#define DEPTH_CHANGE_MOST 0.12f /* relative, in an interval, of a surface that fills the neighborhood of x' */
 
 INLINE float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
@@ -51,9 +48,7 @@ INLINE Ints static_residual(const Ints src_x, const int src_y, const int width, 
     const Ints there = src_x < (src_y < height ? width : 0);
     const Ints src = there ? src_y * width + src_x : (Ints)(0);
     const Floats z = gather_floats(depth, src), px_x = to_floats(src_x) + 0.5f, px_y = (float)src_y + 0.5f;
-    __global const float *mv_px = (__global const float *)motion;
-    *mv_x = gather_floats(mv_px, 2 * src);
-    *mv_y = gather_floats(mv_px, 2 * src + 1);
+    *mv_x = gather_xy(motion, src, mv_y);
     const Wide3 px_static = wide_reproject(px_x, px_y, z, to_previous);
     *residual_x = px_static.x - (px_x + *mv_x);
     *residual_y = px_static.y - (px_y + *mv_y);
@@ -368,9 +363,8 @@ INLINE float depth_met(const float2 px_prev, const float z_expected, const float
 
 /* The rendered frame and the one before, and the results for dynamic fragments. */
 typedef struct {
-    __global const float *depth;
+    __global const float *depth, *depth_prev;
     __global const float2 *motion;
-    __global const float *depth_prev;
     __global const uchar *dynamic_prev;
     __global const float4 *history_prev;
     __global float *met_depth;
@@ -465,16 +459,9 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
                                  __global const float *threshold_squared, __global const float *quantization_error,
                                  __global const half *color, __global uchar *dynamic_mask, __global float *met_depth,
                                  __global float4 *history, __global int *last_stir, __global half *codes) {
-    const Frames frames = {.depth = depth,
-                           .motion = motion,
-                           .depth_prev = depth_prev,
-                           .dynamic_prev = dynamic_prev,
-                           .history_prev = history_prev,
-                           .met_depth = met_depth,
-                           .history = history};
+    const Frames frames = {depth, depth_prev, motion, dynamic_prev, history_prev, met_depth, history};
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous && frame->motion;
-    const Reprojection to_previous = frame->to_previous;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
@@ -499,7 +486,7 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
                 return;
             }
         }
-        const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, to_previous);
+        const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, frame->to_previous);
         Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
         moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
         if (ANY(moves)) { /* else nothing exceeds errors of quantization */

@@ -6,6 +6,7 @@
 #include "color_code.h"
 #include "directional_search.h"
 #include "lists.h"
+#include "shown_before.h"
 
 /* What set the thresholds: docs/deviations.md, "Holes continue their far side", "Holes continue surfaces that can be
    there", "What lies beyond the image has no far side". */
@@ -113,18 +114,16 @@ INLINE float3 static_source(const int dst_x, const int dst_y, const float invers
     return reproject(pixel_center(dst_x, dst_y), z, to_source);
 }
 
-/* Code of the rendered frame's color at `px_source`, or at the place on its border that is closest; bilinear. */
+/* Code of the rendered frame's color at the place on its border that is closest to `px_source`, a place out of screen;
+   linear between two pixels. */
 INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __global const half *codes) {
     const int width = frame->source_width, height = frame->source_height;
     const float x = clamp(px_source.x - 0.5f, 0.0f, (float)(width - 1)),
                 y = clamp(px_source.y - 0.5f, 0.0f, (float)(height - 1));
-    const int x0 = (int)x, y0 = (int)y;
-    float3 sum = (float3)(0.0f);
-    for (int tap = 0; tap < 4; ++tap) {
-        const int src = min(y0 + (tap >> 1), height - 1) * width + min(x0 + (tap & 1), width - 1);
-        sum += bilinear_weight(tap, x - (float)x0, y - (float)y0) * stored_code(codes, src);
-    }
-    return sum;
+    const int x0 = (int)x, y0 = (int)y, src = y0 * width + x0;
+    const float after_x = x - (float)x0, after_y = y - (float)y0, after = fmax(after_x, after_y);
+    const int next = after_x > 0.0f ? 1 : after_y > 0.0f ? width : 0;
+    return (1.0f - after) * stored_code(codes, src) + after * stored_code(codes, src + next);
 }
 
 /* Whether a place lies outside of the rendered image. */
@@ -145,12 +144,13 @@ INLINE float3 continued(const float3 beside, const float3 px_source, __constant 
 
 #define CELL 8 /* px each way, of the grid "cells" */
 #define LINE_STRIDE 2 /* px between its samples */
-#define CELLS_AROUND 3 /* along the border, on either side, over which lines have one direction ... */
-#define CLOSE_COUNTS 4.0f /* ... those close by count most: one a cell away 1 / (1 + CLOSE_COUNTS) */
+#define CELLS_AROUND 4 /* along the border, on either side, over which lines have one direction ... */
+#define CLOSE_COUNTS 4.0f /* ... close by most: one a cell away counts 1 / (1 + CLOSE_COUNTS), and more farther out */
 #define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
 #define CELL_NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
 #define APPROACHES 2 /* of the place where a line leaves the image */
-#define FADE 0.4f /* width of the blur per px out of the image, in units of what the lines' direction leaves open */
+#define BLUR_TAPS 4 /* on either side along the border */
+#define FADE 0.16f /* px between them per px out of the image, in units of what the lines' direction leaves open */
 
 /* Sums over samples of a cell: products of the changes of color codes in x and y (the structure tensor). */
 INLINE void find_lines(const int cell_x, const int cell_y, __constant Frame *frame, __global const half *codes,
@@ -197,19 +197,20 @@ typedef struct {
 } Lines;
 
 /* Lines at the border's pixel `along` (px in x if the border is `horizontal`, else in y), in the border's row or
-   column of cells that begins at cell `first`. */
-INLINE Lines lines_at(const float along, const bool horizontal, const int first, __constant Frame *frame,
-                      __global const float *border_lines) {
+   column of cells that begins at cell `first`, for a place `out` px out of the image. */
+INLINE Lines lines_at(const float along, const float out, const bool horizontal, const int first,
+                      __constant Frame *frame, __global const float *border_lines) {
     const int plane = frame->cells_width * frame->cells_height;
     const int count = horizontal ? frame->cells_width : frame->cells_height, step = horizontal ? 1 : frame->cells_width;
     const float side = (float)(horizontal ? frame->source_width : frame->source_height);
     const float at = clamp(along, 0.0f, side) * (1.0f / CELL) - 0.5f;
     const int low = (int)floor(at);
+    const float cells_out = out * (1.0f / CELL), close_counts = divide(CLOSE_COUNTS, 1.0f + cells_out * cells_out);
     float across = 0.0f, both = 0.0f, inward = 0.0f;
     for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
         const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
         const float window = fmax(1.0f - part * part, 0.0f),
-                    weight = divide(window * window, 1.0f + CLOSE_COUNTS * off * off);
+                    weight = divide(window * window, 1.0f + close_counts * off * off);
         const int cell = first + k * step;
         across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
         both += weight * border_lines[plane + cell];
@@ -239,18 +240,20 @@ INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, cons
     const float start = along;
     Lines lines;
     for (int k = 0; k < APPROACHES; ++k) {
-        lines = lines_at(along, horizontal, first, frame, f.border_lines);
+        lines = lines_at(along, out, horizontal, first, frame, f.border_lines);
         along = start + out * lines.slope;
     }
-    const float blur = FADE * lines.spread * fabs(out);
+    const float apart = FADE * lines.spread * fabs(out);
     float3 sum = (float3)(0.0f);
-    for (int k = -2; k <= 2; ++k) {
-        const float at = along + 0.75f * blur * (float)k;
+    float weight_sum = 0.0f;
+    for (int k = -BLUR_TAPS; k <= BLUR_TAPS; ++k) {
+        const float at = along + apart * (float)k, part = (float)k * (1.0f / (BLUR_TAPS + 1)),
+                    weight = 1.0f - part * part;
         const float2 place = horizontal ? (float2)(at, px_source.y) : (float2)(px_source.x, at);
-        const float weight = k == 0 ? 0.316f : k == 1 || k == -1 ? 0.239f : 0.103f;
         sum += weight * border_code(place, frame, f.codes);
+        weight_sum += weight;
     }
-    return decode_color(sum, frame->code_offset);
+    return decode_color(mean_of(sum, weight_sum), frame->code_offset);
 }
 
 /* Whether a surface can be at a place of the rendered frame: not in front of that which the frame shows there. */
@@ -301,6 +304,8 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __local const Sid
 #define MIXED_REACH 16 /* px beyond which the far side does not represent the remembered surface */
 #define CONTRAST 0.4f /* of the far side, relative to its mean, with which it counts half */
 
+INLINE float squared(const float3 c) { return c.x * c.x + c.y * c.y + c.z * c.z; }
+
 INLINE float brightness(const float3 c) { return (c.x + c.y + c.z) * (1.0f / 3.0f); }
 
 /* Weight of the far side's `mean` relative to a remembered color. It grows if the far side is near and uniform. */
@@ -318,14 +323,56 @@ INLINE float weight_of_far_side(__local const Side *sides, const int far, const 
     return spread > 0.0f ? closest * divide(uniform, uniform + spread) : closest;
 }
 
+#define AROUND 4 /* px beyond the edge of a hole, where colors do not change with the mover's outline */
+#define LEAST_CHANGE 0.001f /* squared change around, by which remembered colors count half; white is 1 */
+#define CONTRAST_COUNTS 4.0f /* of the squared difference from colors around, times that by which it counts half */
+
+/* What is around a hole of the background, AROUND px beyond `side` in direction k: its code in the frame before, and
+   the squared change since then, or -1 where that frame did not show it. */
+INLINE float4 change_around(const int k, __local const Side *side, __constant Frame *frame, const Before before,
+                            __global const uchar *disoccluded, __global const float *depth,
+                            __global const half *color) {
+    const float4 unknown = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
+    const int width = frame->target_width;
+    const int2 d = AROUND * direction(k);
+    const int dst_x = side->px % width + d.x, dst_y = side->px / width + d.y, dst = dst_y * width + dst_x;
+    if (!side->meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
+    const float z = depth[dst];
+    float3 code;
+    if (!is_as_far(isinf(z) ? 0.0f : divide(1.0f, z), side->inverse)
+        || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
+        return unknown;
+    const float3 change = load_code(color, dst, frame->code_offset) - code;
+    return (float4)(code, squared(change));
+}
+
+/* How far a remembered color is out of date, 0 to 1: as colors around have changed since the frame before, unless it
+   differed more from them there. */
+INLINE float staleness(const float3 remembered, __local const float4 *changes, const int far, const float offset) {
+    float4 sum = (float4)(0.0f);
+    float known = 0.0f;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        if (!has(far, k) || changes[k].w < 0.0f) continue;
+        sum += changes[k];
+        known += 1.0f;
+    }
+    if (!(known > 0.0f)) return 0.0f;
+    const float white = offset > 0.0f ? 4.0f * offset * offset : 1.0f, change = divide(sum.w, known);
+    const float contrast = squared(remembered - mean_of(sum.xyz, known));
+    return divide(change, change + CONTRAST_COUNTS * contrast + 3.0f * LEAST_CHANGE * white * white);
+}
+
 /* Mixes a fill of the background with the far side. A surface's remembered color may be out of date, so the weighted
    mean with the present color beside it is shown. */
-INLINE void mix_far_side(const int dst, __local const Side *sides, __constant Frame *frame, __global half *color) {
+INLINE void mix_far_side(const int dst, __local const Side *sides, __local const float4 *changes,
+                         __constant Frame *frame, __global half *color) {
     const int far = far_side(sides);
     if (!far) return;
     const float3 mean = weighted_mean(sides, far, false, frame->code_offset).xyz;
     const float counts = weight_of_far_side(sides, far, mean, color);
-    const float3 sum = load_code(color, dst, frame->code_offset) + counts * encode_color(mean, frame->code_offset);
+    const float3 remembered = load_code(color, dst, frame->code_offset);
+    const float stale = staleness(remembered, changes, far, frame->code_offset);
+    const float3 sum = (1.0f - stale) * remembered + (stale + counts) * encode_color(mean, frame->code_offset);
     store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
 }
 
@@ -339,9 +386,12 @@ INLINE bool is_of_background(const uint entry, __global const uchar *filled_by) 
    team of work-items for each. */
 WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global const half *codes,
                                     __global const uint *open, __global const uchar *disoccluded,
-                                    __global const uchar *filled_by, __global const float *depth, __global half *color,
+                                    __global const uchar *filled_by, __global const half *color_prev,
+                                    __global const float *depth_prev, __global const float *depth, __global half *color,
                                     __global float *border_lines, __global uint *beyond) {
     __local Side sides[TEAMS][DIRECTIONS];
+    __local float4 changes[TEAMS][DIRECTIONS];
+    const Before before = {.color = color_prev, .depth = depth_prev, .state = 0};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     if (get_global_id(0) == 0) *beyond = 0;
     if (!frame->stays) find_border_lines(get_global_id(0), get_global_size(0), frame, codes, border_lines);
@@ -349,12 +399,14 @@ WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         const uint hole = entry_of(open, first + team);
         const bool is_filled = is_of_background(hole, filled_by);
-        for (int k = item % TEAM; is_filled && k < DIRECTIONS; k += TEAM)
+        for (int k = item % TEAM; is_filled && k < DIRECTIONS; k += TEAM) {
             sides[team][k] =
                 look((int)hole % width, (int)hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
+            changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
+        }
         barrier(CLK_LOCAL_MEM_FENCE);
         const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
-        if (is_of_background(own, filled_by)) mix_far_side((int)own, sides[item], frame, color);
+        if (is_of_background(own, filled_by)) mix_far_side((int)own, sides[item], changes[item], frame, color);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
 }

@@ -176,10 +176,8 @@ INLINE void load_pixels(__global const float *plane, const Ints *at, const bool 
 INLINE void find_set_pixels(__global const uchar *mask, const Ints *at, const bool whole, Ints *part) {
     if (whole) {
         const BytePairs top = load_pairs(mask + FIRST_LANE(at[0])), bottom = load_pairs(mask + FIRST_LANE(at[2]));
-        part[0] = to_ints(top.even) != 0;
-        part[1] = to_ints(top.odd) != 0;
-        part[2] = to_ints(bottom.even) != 0;
-        part[3] = to_ints(bottom.odd) != 0;
+        const Bytes pixels[4] = {top.even, top.odd, bottom.even, bottom.odd};
+        for (int k = 0; k < 4; ++k) part[k] = to_ints(pixels[k]) != 0;
     } else {
         for (int k = 0; k < 4; ++k) part[k] = to_ints(gather_bytes(mask, at[k])) != 0;
     }
@@ -189,7 +187,7 @@ INLINE void find_set_pixels(__global const uchar *mask, const Ints *at, const bo
    they are not finite. */
 INLINE bool product_between(const Frames *f, const int dst, const int tap, const float u, const float v,
                             const float nearest, const float farthest, const float4 law, float8 *product) {
-    const int width = f->source_width, second = tap + width, third = second + width;
+    const int width = f->frame->source_width, second = tap + width, third = second + width;
     const int3 same_a = of_surface(f->depth_prev, tap, nearest, farthest),
                same_b = of_surface(f->depth_prev, second, nearest, farthest),
                same_c = of_surface(f->depth_prev, third, nearest, farthest);
@@ -205,18 +203,19 @@ INLINE bool product_between(const Frames *f, const int dst, const int tap, const
                      b = between_some(f->color_prev, second, u, same_b, &weight_b),
                      c = between_some(f->color_prev, third, u, same_c, &weight_c);
         top = mean_of_some(f, dst, v, a, b, weight_a, weight_b);
-        bottom = mean_of_some(f, dst + f->target_width, v, b, c, weight_b, weight_c);
+        bottom = mean_of_some(f, dst + f->frame->target_width, v, b, c, weight_b, weight_c);
     }
     *product = LIFTED(float8, top, law) * LIFTED(float8, bottom, law);
     return all((fabs(top) <= COLOR_MAX) & (fabs(bottom) <= COLOR_MAX));
 }
 
 /* The same of any quad, from pixel (x, y) on. */
-INLINE float8 product_of_pixels(const Frames *f, const int x, const int y, const int height, const float4 law) {
+INLINE float8 product_of_pixels(const Frames *f, const int x, const int y, const float4 law) {
+    const int width = f->frame->target_width, height = f->frame->target_height;
     float4 left = (float4)(1.0f), right = left;
 #pragma unroll 1
     for (int k = 0; k < 4; ++k) {
-        const float4 before = previous_at(f, min(x + (k & 1), f->target_width - 1), min(y + (k >> 1), height - 1));
+        const float4 before = previous_at(f, min(x + (k & 1), width - 1), min(y + (k >> 1), height - 1));
         const float4 lifted = LIFTED(float4, before, law);
         if (k & 1)
             right *= lifted;
@@ -238,19 +237,7 @@ WIDE __kernel void network_input(__constant Frame *restrict frame, __global cons
     const float4 law = frame->color_law;
     const int net_x = get_global_id(0) * LANES, net_y = get_global_id(1);
     if (net_x >= network_width || net_y >= network_height) return;
-    const Frames frames = {.known = 1,
-                           .target_width = target_width,
-                           .source_width = frame->source_width,
-                           .source_height = frame->source_height,
-                           .color = color,
-                           .color_prev = color_prev,
-                           .depth = depth,
-                           .depth_prev = depth_prev,
-                           .out_motion = out_motion,
-                           .motion = motion,
-                           .is_dynamic = is_dynamic,
-                           .disoccluded = disoccluded,
-                           .to_previous = &frame->target_to_previous};
+    const Frames frames = {frame, color, color_prev, depth, depth_prev, out_motion, motion, is_dynamic, disoccluded};
     const int plane_size = network_width * network_height;
     __global float *out = planes + net_y * network_width + net_x;
 
@@ -295,7 +282,7 @@ WIDE __kernel void network_input(__constant Frame *restrict frame, __global cons
               && product_between(&frames, y * target_width + x, int_of(&quads.tap, k), float_of(&quads.u, k),
                                  float_of(&quads.v, k), float_of(&quads.nearest, k), float_of(&quads.farthest, k), law,
                                  &product)))
-            product = product_of_pixels(&frames, x, y, target_height, law);
+            product = product_of_pixels(&frames, x, y, law);
         vstore8(product, k, texels);
     }
 #pragma unroll

@@ -70,12 +70,11 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
     }
     const float3 p0 = unproject(pixel_center(src_x, src_y), z, frame->to_target.source_inverse);
     if (f.dynamic_mask[src] == FIXED_TO_CAMERA) return (float3)(project(p0, frame->to_target.target), z);
-    const int order = frame->order;
     const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
     float met = f.met_depth[src];
     if (frame->entering && !(met > 0.0f)) met = entering_depth(src_x, src_y, px_prev, frame, f);
-    int known = order > 0 && met > 0.0f;
-    while (known > 0 && known < order && f.history[known * plane + src].w != 0.0f) ++known;
+    int known = frame->order > 0 && met > 0.0f;
+    while (known > 0 && known < frame->order && f.history[known * plane + src].w != 0.0f) ++known;
     const float4 a = frame->polynomial[0], b = frame->polynomial[1], c = frame->polynomial[2], d = frame->polynomial[3];
     const float weight[MAX_ORDER] = {
         /* some drivers fail on an index that is not a constant */
@@ -131,14 +130,7 @@ WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, _
                                      __global const float4 *velocity, __global const uint2 *bend,
                                      __global const uint2 *view_velocity, __global float *target_position,
                                      __global Key *keys, __global uint *winners) {
-    const Tracked fragments = {.depth = depth,
-                               .motion = motion,
-                               .dynamic_mask = dynamic_mask,
-                               .met_depth = met_depth,
-                               .history = history,
-                               .velocity = velocity,
-                               .bend = bend,
-                               .view_velocity = view_velocity};
+    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend, view_velocity};
     const int source_width = given.source_width, source_height = given.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_y == source_height) { /* a row of its own: it takes many registers */

@@ -64,18 +64,13 @@ __kernel void present_color(__constant Frame *restrict frame, __global const uin
    was on the previous display. */
 __kernel void present_geometry(__constant Frame *restrict frame, __global const float *depth,
                                __global const float2 *motion, __global float *out_depth, __global float2 *out_motion) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const float4 to_render = frame->to_render;
-    const float4 to_display = frame->to_display;
-    const float4 to_previous_display = frame->to_previous_display;
-    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
-    const float2 px_render = mapped(pixel_center(dst_x, dst_y), to_render);
-    const int src_x = clamp((int)floor(px_render.x), 0, source_width - 1);
-    const int src_y = clamp((int)floor(px_render.y), 0, source_height - 1);
-    const int src = src_y * source_width + src_x, dst = dst_y * target_width + dst_x;
+    const int dst_x = get_global_id(0), dst_y = get_global_id(1), dst = dst_y * frame->target_width + dst_x;
+    if (dst_x >= frame->target_width || dst_y >= frame->target_height) return;
+    const float2 px_render = mapped(pixel_center(dst_x, dst_y), frame->to_render);
+    const int src_x = clamp((int)floor(px_render.x), 0, frame->source_width - 1);
+    const int src_y = clamp((int)floor(px_render.y), 0, frame->source_height - 1);
+    const int src = src_y * frame->source_width + src_x;
     const float2 center = pixel_center(src_x, src_y);
     out_depth[dst] = depth[src];
-    out_motion[dst] = mapped(center + motion[src], to_previous_display) - mapped(center, to_display);
+    out_motion[dst] = mapped(center + motion[src], frame->to_previous_display) - mapped(center, frame->to_display);
 }

@@ -14,7 +14,7 @@ INLINE void near_weights(const Floats off, const float size, Floats *weights) {
 
 /* Weights of three samples for interpolation between them; `off` in rendered pixels. */
 INLINE void far_weights(const Floats off, Floats *weights) {
-    const Floats within = wide_lesser(wide_greater(off, (Floats)(-1.0f)), (Floats)(1.0f));
+    const Floats within = within_limits(off, (Floats)(-1.0f), (Floats)(1.0f));
     for (int k = 0; k < 3; ++k) {
         const Floats t = within + (float)(k - 1), left = wide_greater(1.0f - t * t, (Floats)(0.0f));
         weights[k] = left * left;

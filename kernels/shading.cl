@@ -15,25 +15,9 @@ __kernel void prepare_inputs(__constant Frame *restrict frame, __global const ha
                              __global const uchar *disoccluded, __global const float2 *motion,
                              __global const half *color_prev, __global const float *depth_prev,
                              __global half *warped_previous, __global half *input_mask) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const int has_previous = frame->has_previous;
-    const int dst_x = get_global_id(0), dst_y = get_global_id(1);
-    if (dst_x >= target_width || dst_y >= target_height) return;
-    const Frames frames = {.known = has_previous,
-                           .target_width = target_width,
-                           .source_width = source_width,
-                           .source_height = source_height,
-                           .color = color,
-                           .color_prev = color_prev,
-                           .depth = depth,
-                           .depth_prev = depth_prev,
-                           .out_motion = out_motion,
-                           .motion = motion,
-                           .is_dynamic = is_dynamic,
-                           .disoccluded = disoccluded,
-                           .to_previous = &frame->target_to_previous};
-    const int dst = dst_y * target_width + dst_x;
+    const int dst_x = get_global_id(0), dst_y = get_global_id(1), dst = dst_y * frame->target_width + dst_x;
+    if (dst_x >= frame->target_width || dst_y >= frame->target_height) return;
+    const Frames frames = {frame, color, color_prev, depth, depth_prev, out_motion, motion, is_dynamic, disoccluded};
     vstore_half_rte(input_mask_at(&frames, dst), dst, input_mask);
     store_texel(previous_at(&frames, dst_x, dst_y), dst, warped_previous);
 }

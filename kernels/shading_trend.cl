@@ -23,16 +23,14 @@
 
 /* Rendered frames t and t-1. */
 typedef struct {
-    __global const half *color;
-    __global const float *depth;
+    __global const half *color, *color_prev;
+    __global const float *depth, *depth_prev;
     __global const uchar *dynamic_mask;
-    __global const half *color_prev;
-    __global const float *depth_prev;
 } Frames;
 
 /* The factor by which lifted colors have changed since t-1, 1 where it is not known. */
 typedef struct {
-    WideRgb factor;
+    Floats factor[3];
     Ints known, moves;
 } Change;
 
@@ -44,7 +42,6 @@ INLINE Floats factor_of(const Floats now, const Floats before, const Ints known,
 /* The change of the pixels (x, y). */
 INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const Frames f, Change *c) {
     const int width = frame->source_width, height = frame->source_height;
-    const float4 law = frame->color_law;
     const Ints in_image = (x < width) & ((Ints)(y) < height);
     const Ints src = min(y, height - 1) * width + min(x, (Ints)(width - 1));
     const Floats z = gather_floats(f.depth, src);
@@ -57,22 +54,18 @@ INLINE void change_at(const Ints x, const int y, __constant Frame *frame, const 
                first = y0 * width + x0;
     const Floats u = px_x - to_floats(x0), v = px_y - to_floats(y0);
     const Floats tolerance = isinf(before.z) ? (Floats)(0.0f) : SAME_SURFACE * before.z;
-    WideRgb sum = {0.0f, 0.0f, 0.0f};
+    Floats sum[3] = {0.0f, 0.0f, 0.0f};
     for (int tap = 0; tap < 4; ++tap) {
         const int dx = tap & 1, dy = tap >> 1;
         const Ints at = c->known ? first + (dy * width + dx) : (Ints)(0);
         const Floats z_prev = gather_floats(f.depth_prev, at);
         c->known &= (z_prev == before.z) | (fabs(z_prev - before.z) <= tolerance);
         const Floats weight = (dx ? u : 1.0f - u) * (dy ? v : 1.0f - v);
-        const WideRgb rgb = finite_rgb(gather_rgb(f.color_prev, at));
-        sum.r += weight * rgb.r;
-        sum.g += weight * rgb.g;
-        sum.b += weight * rgb.b;
+        const Wide4 rgb = finite_rgb(gather_channels(f.color_prev, at));
+        for (int k = 0; k < 3; ++k) sum[k] += weight * rgb.c[k];
     }
-    const WideRgb now = finite_rgb(gather_rgb(f.color, src));
-    c->factor.r = factor_of(now.r, sum.r, c->known, law);
-    c->factor.g = factor_of(now.g, sum.g, c->known, law);
-    c->factor.b = factor_of(now.b, sum.b, c->known, law);
+    const Wide4 now = finite_rgb(gather_channels(f.color, src));
+    for (int k = 0; k < 3; ++k) c->factor[k] = factor_of(now.c[k], sum[k], c->known, frame->color_law);
 }
 
 INLINE Ints is_more_than_noise(const Floats factor) { return (factor > NOISE) | (factor * NOISE < 1.0f); }
@@ -83,13 +76,8 @@ WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global co
                                    __global const float *depth, __global const uchar *dynamic_mask,
                                    __global const half *color_prev, __global const float *depth_prev,
                                    __global float *changes, __global uchar *changed_samples, __global int *changed) {
-    const Frames frames = {.color = color,
-                           .depth = depth,
-                           .dynamic_mask = dynamic_mask,
-                           .color_prev = color_prev,
-                           .depth_prev = depth_prev};
+    const Frames frames = {color, color_prev, depth, depth_prev, dynamic_mask};
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
-    const float4 law = frame->color_law;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (first_x >= cells_width || cell_y >= cells_height) return;
     if (first_x == 0 && cell_y == 0) *changed = 0; /* for find_change */
@@ -100,18 +88,18 @@ WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global co
         for (int x = 1; x < CELL; x += SAMPLE_STRIDE) {
             Change c;
             change_at((first_x + LANE_NUMBERS) * CELL + x, cell_y * CELL + y, frame, frames, &c);
-            factor[0] *= c.factor.r;
-            factor[1] *= c.factor.g;
-            factor[2] *= c.factor.b;
             known += c.known ? (Floats)(1.0f) : (Floats)(0.0f);
-            const Ints differs = c.moves | is_more_than_noise(c.factor.r) | is_more_than_noise(c.factor.g)
-                                 | is_more_than_noise(c.factor.b);
+            Ints differs = c.moves;
+            for (int k = 0; k < 3; ++k) {
+                factor[k] *= c.factor[k];
+                differs |= is_more_than_noise(c.factor[k]);
+            }
             differing += differs ? (Ints)(1) : (Ints)(0);
         }
     const float share = (float)(SAMPLE_STRIDE * SAMPLE_STRIDE) / (float)(CELL * CELL);
     const int cell = cell_y * cells_width + first_x;
     for (int c = 0; c < 3; ++c)
-        store_some_floats(log_of(factor[c]) * (law.y * share), count, changes + c * plane + cell);
+        store_some_floats(log_of(factor[c]) * (frame->color_law.y * share), count, changes + c * plane + cell);
     store_some_floats(known * share, count, changes + 3 * plane + cell);
     store_some_bytes(to_bytes(differing), count, changed_samples + cell);
 }
@@ -184,15 +172,10 @@ INLINE Cells cells_at(const Wide3 px, const int cells_width, const int cells_hei
     const Ints x0 = to_ints(x), y0 = to_ints(y), right = min(x0 + 1, (Ints)(cells_width - 1)) - x0;
     const Ints down = (min(y0 + 1, (Ints)(cells_height - 1)) - y0) * cells_width;
     const Floats u = x - to_floats(x0), v = y - to_floats(y0), shown = px.z > 0.0f ? (Floats)(1.0f) : (Floats)(0.0f);
-    Cells c;
-    c.tap[0] = y0 * cells_width + x0;
-    c.tap[1] = c.tap[0] + right;
-    c.tap[2] = c.tap[0] + down;
-    c.tap[3] = c.tap[2] + right;
-    c.weight[0] = shown * (1.0f - u) * (1.0f - v);
-    c.weight[1] = shown * u * (1.0f - v);
-    c.weight[2] = shown * (1.0f - u) * v;
-    c.weight[3] = shown * u * v;
+    const Ints first = y0 * cells_width + x0;
+    const Floats of_left = shown * (1.0f - u), of_right = shown * u;
+    const Cells c = {{first, first + right, first + down, first + down + right},
+                     {of_left * (1.0f - v), of_right * (1.0f - v), of_left * v, of_right * v}};
     return c;
 }
 
@@ -210,16 +193,14 @@ WIDE __kernel void carry_trends(__constant Frame *restrict frame, __global const
     const int width = frame->network_width / 2, height = frame->network_height / 2;
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const float alpha = frame->alpha;
-    const Reprojection to_source = frame->to_source;
-    const Reprojection to_previous = frame->target_to_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     if (x >= width || y >= height) return;
     const Ints dst_x = min(4 * (x + LANE_NUMBERS) + 2, (Ints)(target_width - 1));
     const int dst_y = min(4 * y + 2, target_height - 1);
     const Floats z = gather_floats(depth, dst_y * target_width + dst_x);
     const Floats px_x = to_floats(dst_x) + 0.5f, px_y = (float)dst_y + 0.5f;
-    const Cells now = cells_at(wide_reproject(px_x, px_y, z, to_source), cells_width, cells_height);
-    const Cells before = cells_at(wide_reproject(px_x, px_y, z, to_previous), cells_width, cells_height);
+    const Cells now = cells_at(wide_reproject(px_x, px_y, z, frame->to_source), cells_width, cells_height);
+    const Cells before = cells_at(wide_reproject(px_x, px_y, z, frame->target_to_previous), cells_width, cells_height);
     const int plane = cells_width * cells_height, size = width * height;
     __global float *out = trends + y * width + x;
     for (int c = 0; c < 3; ++c) {

@@ -76,6 +76,13 @@ INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     return xy.even;
 }
 
+/* The x and y of float2 that lie at i. */
+INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
+    const float16 xy = (float16)GATHER(p, i);
+    *y = xy.odd;
+    return xy.even;
+}
+
 INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) {
     vstore16((float16)(x.s0, y.s0, x.s1, y.s1, x.s2, y.s2, x.s3, y.s3, x.s4, y.s4, x.s5, y.s5, x.s6, y.s6, x.s7, y.s7),
              0, (__global float *)p);
@@ -128,10 +135,12 @@ INLINE float16 load_four_texels(const int i, __global const half *image) {
     return (float16)(load_two_texels(i, image), load_two_texels(i + 2, image));
 }
 
-INLINE Floats load_xy(__global const float2 *p, Floats *y) {
-    *y = (*p).y;
-    return (*p).x;
+INLINE Floats gather_xy(__global const float2 *p, const int i, Floats *y) {
+    *y = p[i].y;
+    return p[i].x;
 }
+
+INLINE Floats load_xy(__global const float2 *p, Floats *y) { return gather_xy(p, 0, y); }
 
 INLINE void store_xy(const Floats x, const Floats y, __global float2 *p) { *p = (float2)(x, y); }
 
@@ -149,6 +158,9 @@ INLINE void set_byte(Bytes *v, const int k, const uchar number) { ((uchar *)v)[k
    If one is NaN, `wide_lesser` gives the second and `wide_greater` the first. */
 INLINE Floats wide_lesser(const Floats a, const Floats b) { return a < b ? a : b; }
 INLINE Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : a; }
+INLINE Floats within_limits(const Floats x, const Floats least, const Floats most) {
+    return wide_lesser(wide_greater(x, least), most);
+}
 
 /* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0,
    whether any has a value. */
@@ -174,9 +186,7 @@ INLINE bool run_has(__global const uchar *p, const uchar value) { return *p == v
 
 /* The first `count` lanes, or all if it is more, for the last pixels of a row. Loads repeat the last of them. */
 INLINE Floats load_some_floats(const int count, __global const float *p) {
-    if (IS_WHOLE(count)) return load_floats(0, p);
-    const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
-    return gather_floats(p, i);
+    return IS_WHOLE(count) ? load_floats(0, p) : gather_floats(p, min((Ints)(LANE_NUMBERS), (Ints)(count - 1)));
 }
 
 INLINE Ints load_some_ints(const int count, __global const int *p) {
@@ -184,16 +194,11 @@ INLINE Ints load_some_ints(const int count, __global const int *p) {
 }
 
 INLINE Bytes load_some_bytes(const int count, __global const uchar *p) {
-    if (IS_WHOLE(count)) return load_bytes(0, p);
-    const Ints i = min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
-    return gather_bytes(p, i);
+    return IS_WHOLE(count) ? load_bytes(0, p) : gather_bytes(p, min((Ints)(LANE_NUMBERS), (Ints)(count - 1)));
 }
 
 INLINE Floats load_some_xy(const int count, __global const float2 *p, Floats *y) {
-    if (IS_WHOLE(count)) return load_xy(p, y);
-    const Ints i = 2 * min((Ints)(LANE_NUMBERS), (Ints)(count - 1));
-    *y = gather_floats((__global const float *)p, i + 1);
-    return gather_floats((__global const float *)p, i);
+    return IS_WHOLE(count) ? load_xy(p, y) : gather_xy(p, min((Ints)(LANE_NUMBERS), (Ints)(count - 1)), y);
 }
 
 INLINE void store_some_bytes(const Bytes v, const int count, __global uchar *p) {

@@ -2,15 +2,16 @@
 
 #include "simd.h"
 
+/* Channels of LANES pixels, apart. */
 typedef struct {
-    Floats r, g, b;
-} WideRgb;
+    Floats c[4];
+} Wide4;
 
 DEFINE_FINITE(Floats, finite)
 
-INLINE WideRgb finite_rgb(const WideRgb c) {
-    const WideRgb rgb = {finite(c.r), finite(c.g), finite(c.b)};
-    return rgb;
+INLINE Wide4 finite_rgb(Wide4 color) {
+    for (int k = 0; k < 3; ++k) color.c[k] = finite(color.c[k]);
+    return color;
 }
 
 #if LANES == 8
@@ -83,7 +84,6 @@ typedef struct {
     Texels part[PARTS];
 } Strip;
 
-/* The four channels of a strip, apart. */
 INLINE void channels_of(const Strip *s, Floats *channels) {
 #if LANES == 8
     channels[0] = (float8)(s->part[0].s048c, s->part[1].s048c);
@@ -98,8 +98,14 @@ INLINE void channels_of(const Strip *s, Floats *channels) {
 #endif
 }
 
-/* A strip of these channels. */
-INLINE Strip strip_of(const Floats x, const Floats y, const Floats z, const Floats w) {
+INLINE Wide4 channels_of_strip(const Strip *s) {
+    Wide4 channels;
+    channels_of(s, channels.c);
+    return channels;
+}
+
+INLINE Strip strip_of(const Wide4 channels) {
+    const Floats x = channels.c[0], y = channels.c[1], z = channels.c[2], w = channels.c[3];
     Strip s;
 #if LANES == 8
     s.part[0] =
@@ -117,14 +123,11 @@ INLINE void gather_strip(__global const half *image, const Ints i, Strip *s) {
     for (int part = 0; part < PARTS; ++part) s->part[part] = gather_texels(image, i, part, false);
 }
 
-/* Colors of the pixels i. */
-INLINE WideRgb gather_rgb(__global const half *color, const Ints i) {
+/* The four channels of the pixels i. */
+INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
     Strip s;
-    Floats c[4];
-    gather_strip(color, i, &s);
-    channels_of(&s, c);
-    const WideRgb rgb = {c[0], c[1], c[2]};
-    return rgb;
+    gather_strip(image, i, &s);
+    return channels_of_strip(&s);
 }
 
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of simd.h. */
@@ -150,10 +153,11 @@ INLINE void store_strip(const Strip s, const int count, __global half *color) {
     for (int k = 0; k < count; ++k) store_texel(vload4(k, texels), k, color);
 }
 
-INLINE WideRgb load_some_rgb(const int count, __global const half *color) {
-    const Strip s = load_strip(count, color);
-    Floats c[4];
-    channels_of(&s, c);
-    const WideRgb rgb = {c[0], c[1], c[2]};
-    return rgb;
+INLINE Wide4 load_some_channels(const int count, __global const half *image) {
+    const Strip s = load_strip(count, image);
+    return channels_of_strip(&s);
+}
+
+INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
+    store_strip(strip_of(c), count, image);
 }

@@ -2,46 +2,11 @@
 
 #include "cubic.h"
 
-/* Four channels of each lane. */
-typedef struct {
-    Floats x, y, z, w;
-} Wide4;
-
-INLINE Wide4 channels_of_strip(const Strip *s) {
-    Floats c[4];
-    channels_of(s, c);
-    const Wide4 channels = {c[0], c[1], c[2], c[3]};
-    return channels;
-}
-
-/* float4 of each lane, as they lie in memory -> channels, and back into the first `count` pixels of a row. */
+/* float4 of each lane, as they lie in memory -> channels. */
 INLINE Wide4 channels_in(const float *texels) {
     Strip s;
     for (int part = 0; part < PARTS; ++part) s.part[part] = reload_texels(part, texels);
     return channels_of_strip(&s);
-}
-
-INLINE void store_channels(const Wide4 c, const int count, __global half *image) {
-    store_strip(strip_of(c.x, c.y, c.z, c.w), count, image);
-}
-
-/* The four channels of the pixels i. */
-INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
-    Strip s;
-    gather_strip(image, i, &s);
-    return channels_of_strip(&s);
-}
-
-/* The x and y of float2 that lie at i. */
-INLINE Floats gather_xy(__global const float2 *p, const Ints i, Floats *y) {
-#if LANES == 8
-    const float16 xy = (float16)(p[i.s0], p[i.s1], p[i.s2], p[i.s3], p[i.s4], p[i.s5], p[i.s6], p[i.s7]);
-    *y = xy.odd;
-    return xy.even;
-#else
-    *y = p[i].y;
-    return p[i].x;
-#endif
 }
 
 /* Texels x to x + 3 of a row; beyond the image its border is repeated. */

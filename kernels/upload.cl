@@ -48,9 +48,10 @@ INLINE int lanes_where(const Ints condition, const int count) {
     return number;
 }
 
-/* Counts of this work-item, into two planes of a texel for each run of an image of this size. */
-INLINE void store_counts(const int width, const int height, const int first, const int second, __global uchar *counts) {
-    const int runs = runs_of(width), place = get_global_id(1) * runs + get_global_id(0) * LANES;
+/* Counts of this work-item, into two planes from `plane` on of a texel for each run of an image of this size. */
+INLINE void store_counts(const int width, const int height, const int plane, const int first, const int second,
+                         __global uchar *counts) {
+    const int runs = runs_of(width), place = (plane * height + get_global_id(1)) * runs + get_global_id(0) * LANES;
     counts[place] = first;
     counts[runs * height + place] = second;
 }
@@ -84,11 +85,6 @@ INLINE float color_unit(const int type) {
     return type == UNORM8 ? 1.0f / 255.0f : type == UNORM16 ? 1.0f / 65535.0f : 1.0f;
 }
 
-INLINE float given_value(__global const float *given, const int type, const int i) {
-    const float stored = stored_value(given, type, i);
-    return type == UNORM8 || type == UNORM16 ? stored * color_unit(type) : stored;
-}
-
 /* Values from value i on, as many as the texels of a part have. */
 INLINE Texels given_texels(__global const float *given, const int type, const int i) {
     switch (type) {
@@ -119,7 +115,7 @@ INLINE void load_given(__global const float *given, const int type, const int ch
     float texels[4 * LANES];
     for (int k = 0; k < LANES; ++k) {
         const int first = channels * (i + min(k, count - 1));
-        for (int c = 0; c < 3; ++c) texels[4 * k + c] = given_value(given, type, first + c);
+        for (int c = 0; c < 3; ++c) texels[4 * k + c] = stored_value(given, type, first + c) * color_unit(type);
         texels[4 * k + 3] = 0.0f;
     }
     for (int part = 0; part < PARTS; ++part) s->part[part] = reload_texels(part, texels);
@@ -140,26 +136,25 @@ INLINE void take(const int width, const int height, __global const float *given,
         for (int part = 0; part < PARTS; ++part) good &= ALL_TEXELS(fabs(s.part[part]) <= COLOR_MAX);
         if (!good) {
             Floats rgba[4];
+            Ints all_finite = ALL_LANES, over = 0;
             channels_of(&s, rgba);
-            const Ints r = isfinite(rgba[0]), g = isfinite(rgba[1]), b = isfinite(rgba[2]);
-            const Ints over = (r & (fabs(rgba[0]) > COLOR_MAX)) | (g & (fabs(rgba[1]) > COLOR_MAX))
-                              | (b & (fabs(rgba[2]) > COLOR_MAX));
-            infinite += min(count, LANES) - lanes_where(r & g & b, count);
+            for (int c = 0; c < 3; ++c) {
+                all_finite &= isfinite(rgba[c]);
+                over |= isfinite(rgba[c]) & (fabs(rgba[c]) > COLOR_MAX);
+            }
+            infinite += min(count, LANES) - lanes_where(all_finite, count);
             clamped += lanes_where(over, count);
         }
         store_strip(s, count, color + 4 * i);
     }
-    store_counts(width, height, infinite, clamped, bad_pixels);
+    store_counts(width, height, 0, infinite, clamped, bad_pixels);
 }
 
-WIDE __kernel void take_floats(const int width, const int height, __global const float *given, const int start,
-                               const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(width, height, given + start, FLOAT32, channels, color, bad_pixels);
-}
-
-WIDE __kernel void take_halves(const int width, const int height, __global const half *given, const int start,
-                               const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(width, height, (__global const float *)(given + start), FLOAT16, channels, color, bad_pixels);
+/* Floats or halves. */
+WIDE __kernel void take_color(const int width, const int height, __global const uchar *given, const int start,
+                              const int type, const int channels, __global half *color, __global uchar *bad_pixels) {
+    take(width, height, given_from(given, type, start), type == FLOAT32 ? FLOAT32 : FLOAT16, channels, color,
+         bad_pixels);
 }
 
 /* Color of any type that a description allows, on its way from host or device. */
@@ -217,8 +212,8 @@ WIDE __kernel void take_geometry(const int width, const int height, __global con
         check_motion(&motion_x, &motion_y, count, diagonal_squared, &bad_motion, &too_long);
         store_some_xy(motion_x, motion_y, count, motion + i);
     }
-    store_counts(width, height, bad_depth, bad_motion, bad_pixels + 2 * runs_of(width) * height);
-    store_counts(width, height, far, too_long, bad_pixels + 4 * runs_of(width) * height);
+    store_counts(width, height, 2, bad_depth, bad_motion, bad_pixels);
+    store_counts(width, height, 4, far, too_long, bad_pixels);
 }
 
 /* Values i, i + step ... as they are stored, for the first `count` lanes; others repeat the last. */
@@ -318,10 +313,8 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
         }
         store_some_xy(motion_x, motion_y, count, motion + i);
     }
-    const int full_width = frame->source_width, full_height = frame->source_height;
-    const int plane = runs_of(full_width) * full_height;
-    store_counts(full_width, full_height, bad_depth, bad_motion, bad_pixels + 2 * plane);
-    store_counts(full_width, full_height, far, too_long, bad_pixels + 4 * plane);
+    store_counts(frame->source_width, frame->source_height, 2, bad_depth, bad_motion, bad_pixels);
+    store_counts(frame->source_width, frame->source_height, 4, far, too_long, bad_pixels);
 }
 
 /* Depths of the samples around LANES of them, row by row; 0 beyond the image. */
@@ -375,8 +368,7 @@ WIDE __kernel void undo_dilation(__constant Frame *restrict frame, __global cons
         distance = better ? from : distance;
         chosen = better ? here + (step_y * width + step_x) : chosen;
     }
-    __global const float *vectors = (__global const float *)dilated;
-    Floats motion_x = gather_floats(vectors, 2 * chosen), motion_y = gather_floats(vectors, 2 * chosen + 1);
+    Floats motion_y, motion_x = gather_xy(dilated, chosen, &motion_y);
     const Ints lost = (distance == INT_MAX) & (z > 0.0f);
     if (frame->has_previous && ANY(lost)) {
         Floats camera_y;
@@ -460,7 +452,6 @@ WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global co
     const int columns = frame->geometry_width, last_x = columns - 1, last_y = frame->geometry_height - 1;
     const Floats at_x = clamp(row_centers(x) * to.x + to.z - 0.5f, (Floats)(0.0f), (Floats)((float)last_x));
     const Floats at_y = (Floats)(clamp((y + 0.5f) * to.y + to.w - 0.5f, 0.0f, (float)last_y));
-    __global const float *vectors = (__global const float *)small_motion;
     const Ints left = to_ints(at_x), top = to_ints(at_y);
     const Ints right = min(left + 1, (Ints)(last_x)), bottom = min(top + 1, (Ints)(last_y));
     const Floats u = at_x - to_floats(left), v = at_y - to_floats(top);
@@ -469,18 +460,18 @@ WIDE __kernel void spread_geometry(__constant Frame *restrict frame, __global co
     const Ints in_right = u >= 0.5f, in_lower = v >= 0.5f;
     const Ints nearest = in_lower ? (in_right ? taps[3] : taps[2]) : (in_right ? taps[1] : taps[0]);
     const Floats z = gather_floats(small_depth, nearest);
-    const Floats own_x = gather_floats(vectors, 2 * nearest), own_y = gather_floats(vectors, 2 * nearest + 1);
+    Floats own_y, other_y;
+    const Floats own_x = gather_xy(small_motion, nearest, &own_y);
     Ints smooth = (Ints)(ALL_LANES);
     Floats sum_z = (Floats)(0.0f), sum_x = (Floats)(0.0f), sum_y = (Floats)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const Floats weight = ((tap & 1) ? u : 1.0f - u) * ((tap >> 1) ? v : 1.0f - v);
         const Floats other_z = gather_floats(small_depth, taps[tap]);
-        const Floats other_x = gather_floats(vectors, 2 * taps[tap]),
-                     other_y = gather_floats(vectors, 2 * taps[tap] + 1);
-        smooth = smooth & is_alike(z, own_x, own_y, other_z, other_x, other_y);
-        sum_z = sum_z + weight * other_z;
-        sum_x = sum_x + weight * other_x;
-        sum_y = sum_y + weight * other_y;
+        const Floats other_x = gather_xy(small_motion, taps[tap], &other_y);
+        smooth &= is_alike(z, own_x, own_y, other_z, other_x, other_y);
+        sum_z += weight * other_z;
+        sum_x += weight * other_x;
+        sum_y += weight * other_y;
     }
     sum_z = isinf(z) ? z : sum_z;
     if (!ALL(smooth)) {

@@ -20,11 +20,9 @@
 /* What set the thresholds: docs/upscaling.md, "Figures". */
 #define MOST_WEIGHT 12.0f     /* of a history at rest, in samples */
 #define MOVED_WEIGHT 1.0f     /* of one that moved: it blurs whenever it is resampled */
-/* LEAST_SHOWN: of the displayed color until samples arrive; with a lighter history, samples count less, too */
-#define LEAST_SHOWN 0.5f
+#define LEAST_SHOWN 0.5f /* weight of the displayed color until samples arrive; below it, these count less, too */
 #define FRESH 0.8f /* share of the rendered frame, interpolated, in that; the rest is the history, clipped */
-/* SHARP_SLOPE: of the cubic that resamples the history: sharper than Catmull-Rom, which blurs in the long run */
-#define SHARP_SLOPE 0.75f
+#define SHARP_SLOPE 0.75f /* of the cubic that resamples the history: Catmull-Rom's 0.5 blurs in the long run */
 #define DEVIATIONS 2.0f /* deviations from the mean that a history may have */
 #define COMPRESSED_NOISE 0.01f /* of compressed colors, in addition to their deviation */
 #define SCATTER 1.0f /* weight of the scatter of the history's error, against its mean, which is followed */
@@ -42,22 +40,22 @@
 #define NOT_NEARER 0.96f /* relative depth from which on it is the same surface */
 
 /* Tone-mapped by the largest channel, so that bright samples do not outweigh all others; as (Y, Co, Cg). */
-INLINE Wide4 compressed_of(const Floats r, const Floats g, const Floats b, const float exposure) {
-    const Floats c_r = wide_greater(r, (Floats)(0.0f)) * exposure, c_g = wide_greater(g, (Floats)(0.0f)) * exposure,
-                 c_b = wide_greater(b, (Floats)(0.0f)) * exposure;
-    const Floats scale = wide_divide((Floats)(1.0f), 1.0f + wide_greater(c_r, wide_greater(c_g, c_b)));
-    const Floats green = 0.5f * c_g, others = 0.25f * (c_r + c_b);
-    const Wide4 c = {(others + green) * scale, (0.5f * (c_r - c_b)) * scale, (green - others) * scale, (Floats)(0.0f)};
+INLINE Wide4 compressed_of(const Wide4 rgb, const float exposure) {
+    Floats lit[3];
+    for (int k = 0; k < 3; ++k) lit[k] = wide_greater(rgb.c[k], (Floats)(0.0f)) * exposure;
+    const Floats scale = wide_divide((Floats)(1.0f), 1.0f + wide_greater(lit[0], wide_greater(lit[1], lit[2])));
+    const Floats green = 0.5f * lit[1], others = 0.25f * (lit[0] + lit[2]);
+    const Wide4 c = {{(others + green) * scale, (0.5f * (lit[0] - lit[2])) * scale, (green - others) * scale, 0.0f}};
     return c;
 }
 
-INLINE Wide4 expanded(const Wide4 c, const float exposure) {
-    const Floats none = 0.0f, rest = c.x - c.z;
-    const Floats r = wide_greater(rest + c.y, none), g = wide_greater(c.x + c.z, none),
-                 b = wide_greater(rest - c.y, none);
-    const Floats most = 1.0f - wide_greater(r, wide_greater(g, b));
-    const Floats scale = wide_divide((Floats)(1.0f), wide_greater(most, (Floats)(1e-4f)) * exposure), top = COLOR_MAX;
-    const Wide4 rgb = {wide_lesser(r * scale, top), wide_lesser(g * scale, top), wide_lesser(b * scale, top), c.w};
+INLINE Wide4 expanded(const Wide4 ycocg, const float exposure) {
+    const Floats y = ycocg.c[0], co = ycocg.c[1], cg = ycocg.c[2], rest = y - cg;
+    Wide4 rgb = {{rest + co, y + cg, rest - co, ycocg.c[3]}};
+    for (int k = 0; k < 3; ++k) rgb.c[k] = wide_greater(rgb.c[k], (Floats)(0.0f));
+    const Floats most = 1.0f - wide_greater(rgb.c[0], wide_greater(rgb.c[1], rgb.c[2]));
+    const Floats scale = wide_divide((Floats)(1.0f), wide_greater(most, (Floats)(1e-4f)) * exposure);
+    for (int k = 0; k < 3; ++k) rgb.c[k] = wide_lesser(rgb.c[k] * scale, (Floats)(COLOR_MAX));
     return rgb;
 }
 
@@ -65,9 +63,15 @@ INLINE Ints within(const Floats px_x, const Floats px_y, const int width, const 
     return (px_x >= 0.0f) & (px_y >= 0.0f) & (px_x < (float)width) & (px_y < (float)height); /* not of NaN */
 }
 
-/* Finds where the nearest of the 3x3 pixels around each is, if that is of another surface than the pixel's own.
-   Gives whether any is. */
-INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near_x, Ints *near_y) {
+/* The nearest of the 3x3 pixels around each of LANES, if it is of another surface than the pixel's own, else that:
+   their centers and motion. `elsewhere`: whether any is another pixel. */
+typedef struct {
+    Ints at;
+    Floats center_x, center_y, moved_x, moved_y;
+    bool elsewhere;
+} Nearest;
+
+INLINE Nearest nearest_around(const Span p, __global const float *depth, __global const float2 *motion) {
     const Floats own = beside(p, depth, 0, 0);
     Floats least_depth = own > 0.0f ? NOT_NEARER * own : (Floats)(INFINITY);
     Ints dx = (Ints)(0), dy = (Ints)(0);
@@ -79,9 +83,15 @@ INLINE bool nearest_around(const Span p, __global const float *depth, Ints *near
         dx = nearer ? (Ints)(k % 3 - 1) : dx;
         dy = nearer ? (Ints)(k / 3 - 1) : dy;
     }
-    *near_x = clamp(p.x + LANE_NUMBERS + dx, (Ints)(0), (Ints)(p.width - 1));
-    *near_y = clamp(p.y + dy, (Ints)(0), (Ints)(p.height - 1));
-    return ANY((dx != 0) | (dy != 0));
+    const Ints x = clamp(p.x + LANE_NUMBERS + dx, (Ints)(0), (Ints)(p.width - 1));
+    const Ints y = clamp(p.y + dy, (Ints)(0), (Ints)(p.height - 1));
+    Nearest n;
+    n.at = y * p.width + x;
+    n.center_x = to_floats(x) + 0.5f;
+    n.center_y = to_floats(y) + 0.5f;
+    n.elsewhere = ANY((dx != 0) | (dy != 0));
+    n.moved_x = n.elsewhere ? gather_xy(motion, n.at, &n.moved_y) : xy_beside(p, motion, 0, 0, &n.moved_y);
+    return n;
 }
 
 /* The share of px in the image before was not hidden by something nearer than `expected`: bilinear. */
@@ -103,7 +113,7 @@ INLINE Floats share_seen(const Floats px_x, const Floats px_y, const Floats expe
 }
 
 /* c within the least and the most of the 2x2 texels of an image around px. */
-INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, const int width, const int height,
+INLINE Wide4 within_range(Wide4 color, const Floats px_x, const Floats px_y, const int width, const int height,
                           __global const half *image) {
     const Ints left = to_ints(floor(px_x - 0.5f)), top = to_ints(floor(px_y - 0.5f));
     float low[4 * LANES], high[4 * LANES];
@@ -114,10 +124,9 @@ INLINE Wide4 within_range(const Wide4 c, const Floats px_x, const Floats px_y, c
         vstore4(least.lo < least.hi ? least.lo : least.hi, k, low);
         vstore4(most.lo < most.hi ? most.hi : most.lo, k, high);
     }
-    const Wide4 l = channels_in(low), h = channels_in(high);
-    const Wide4 clamped = {wide_lesser(wide_greater(c.x, l.x), h.x), wide_lesser(wide_greater(c.y, l.y), h.y),
-                           wide_lesser(wide_greater(c.z, l.z), h.z), c.w};
-    return clamped;
+    const Wide4 least = channels_in(low), most = channels_in(high);
+    for (int k = 0; k < 3; ++k) color.c[k] = within_limits(color.c[k], least.c[k], most.c[k]);
+    return color;
 }
 
 /* Writes, for each rendered pixel, where its surroundings were, and the distance of its color from the history there.
@@ -126,52 +135,44 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
                            __global const float2 *motion, __global const float *previous_depth,
                            __global const half *history, __global half *out_compressed, __global float2 *out_dilated,
                            __global half *out_surprise) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
-    const Reprojection to_previous = frame->to_previous;
-    const float4 to_previous_display = frame->to_previous_display;
-    const float exposure = frame->exposure;
     const int has_history = frame->has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * source_width + x, count = source_width - x;
     if (x >= source_width || y >= source_height) return;
     const Span p = span_at(x, y, source_width, source_height);
-    Ints near_x, near_y;
-    const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
-    const Ints nearest = near_y * source_width + near_x;
-    const Floats z = elsewhere ? gather_floats(depth, nearest) : beside(p, depth, 0, 0);
-    Floats moved_y;
-    const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
+
+    /* Where the nearest surface around was, and how much of that was seen. */
+    const Nearest near = nearest_around(p, depth, motion);
+    const Floats z = near.elsewhere ? gather_floats(depth, near.at) : beside(p, depth, 0, 0);
     const Ints moves = (z > 0.0f) & ((Ints)(has_history) != 0);
     Floats seen = 0.0f;
     if (has_history) {
-        const Floats center_x = to_floats(near_x) + 0.5f, center_y = to_floats(near_y) + 0.5f;
-        const Wide3 v = wide_unproject(center_x, center_y, z, to_previous.source_inverse);
-        const float4 forward = to_previous.row2;
+        const Wide3 v = wide_unproject(near.center_x, near.center_y, z, frame->to_previous.source_inverse);
+        const float4 forward = frame->to_previous.row2;
         const Floats expected = forward.x * v.x + forward.y * v.y + forward.z * v.z + forward.w;
         const Floats share =
-            share_seen(center_x + moved_x, center_y + moved_y, isinf(z) ? (Floats)(INFINITY) : expected, source_width,
-                       source_height, previous_depth);
+            share_seen(near.center_x + near.moved_x, near.center_y + near.moved_y,
+                       isinf(z) ? (Floats)(INFINITY) : expected, source_width, source_height, previous_depth);
         seen = z > 0.0f ? share : (Floats)(0.0f);
     }
-    const Wide4 raw = gather_channels(color, clamped_beside(p, 0, 0));
-    const Wide4 own = {finite(raw.x), finite(raw.y), finite(raw.z), (Floats)(0.0f)};
-    Wide4 here = compressed_of(own.x, own.y, own.z, exposure),
-          surprise = {(Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f), (Floats)(0.0f)};
+    /* How the color differs from the history there. */
+    const Wide4 own = finite_rgb(gather_channels(color, clamped_beside(p, 0, 0)));
+    Wide4 here = compressed_of(own, frame->exposure), surprise = {{0.0f, 0.0f, 0.0f, 0.0f}};
     const Ints known = seen > 0.0f;
     if (ANY(known)) {
-        const Floats px_x = (row_centers(x) + moved_x) * to_previous_display.x + to_previous_display.z;
-        const Floats px_y = ((float)y + 0.5f + moved_y) * to_previous_display.y + to_previous_display.w;
-        const Wide4 like = within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f), target_width,
-                                        target_height, history);
-        const Wide4 foretold = compressed_of(like.x, like.y, like.z, exposure);
-        surprise.x = known ? here.x - foretold.x : (Floats)(0.0f);
-        surprise.y = known ? here.y - foretold.y : (Floats)(0.0f);
-        surprise.z = known ? here.z - foretold.z : (Floats)(0.0f);
-        surprise.w = known ? (Floats)(1.0f) : (Floats)(0.0f);
+        const float4 to = frame->to_previous_display;
+        const Floats px_x = (row_centers(x) + near.moved_x) * to.x + to.z;
+        const Floats px_y = ((float)y + 0.5f + near.moved_y) * to.y + to.w;
+        const Wide4 foretold =
+            compressed_of(within_range(own, known ? px_x : (Floats)(0.0f), known ? px_y : (Floats)(0.0f),
+                                       frame->target_width, frame->target_height, history),
+                          frame->exposure);
+        for (int k = 0; k < 3; ++k) surprise.c[k] = known ? here.c[k] - foretold.c[k] : (Floats)(0.0f);
+        surprise.c[3] = known ? (Floats)(1.0f) : (Floats)(0.0f);
     }
-    here.w = seen;
+    here.c[3] = seen;
     store_channels(here, count, out_compressed + 4 * i);
-    store_some_xy(moves ? moved_x : (Floats)(NAN), moves ? moved_y : (Floats)(NAN), count, out_dilated + i);
+    store_some_xy(moves ? near.moved_x : (Floats)(NAN), moves ? near.moved_y : (Floats)(NAN), count, out_dilated + i);
     store_channels(surprise, count, out_surprise + 4 * i);
 }
 
@@ -219,8 +220,8 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
         (off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
     const Floats error =
         wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + COMPRESSED_NOISE * COMPRESSED_NOISE));
-    const Wide4 of_mean = {middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))};
-    const Wide4 deviation = {wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift};
+    const Wide4 of_mean = {{middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))}};
+    const Wide4 deviation = {{wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift}};
     store_channels(of_mean, count, out_mean + 4 * i);
     store_channels(deviation, count, out_deviation + 4 * i);
 }
@@ -229,16 +230,13 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
    channel. */
 INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, const Floats more_room,
                      const float exposure) {
-    Wide4 before = compressed_of(found.x, found.y, found.z, exposure);
-    const Floats gain = wide_divide(wide_greater(before.x + around.w, (Floats)(0.0f)), before.x + 1e-4f);
-    before.x *= gain;
-    before.y *= gain;
-    before.z *= gain;
-    const Floats room = COMPRESSED_NOISE + more_room, room_x = DEVIATIONS * around.x + room,
-                 room_y = DEVIATIONS * around.y + room, room_z = DEVIATIONS * around.z + room;
-    const Wide4 past = {wide_lesser(wide_greater(before.x, mean.x - room_x), mean.x + room_x),
-                        wide_lesser(wide_greater(before.y, mean.y - room_y), mean.y + room_y),
-                        wide_lesser(wide_greater(before.z, mean.z - room_z), mean.z + room_z), found.w};
+    Wide4 past = compressed_of(found, exposure);
+    const Floats gain = wide_divide(wide_greater(past.c[0] + around.c[3], (Floats)(0.0f)), past.c[0] + 1e-4f);
+    for (int k = 0; k < 3; ++k) {
+        const Floats room = DEVIATIONS * around.c[k] + (COMPRESSED_NOISE + more_room);
+        past.c[k] = within_limits(past.c[k] * gain, mean.c[k] - room, mean.c[k] + room);
+    }
+    past.c[3] = found.c[3];
     return past;
 }
 
@@ -246,7 +244,7 @@ INLINE Wide4 bounded(const Wide4 found, const Wide4 mean, const Wide4 around, co
    disappears by depth, that surface was thin, and will be hit again. */
 INLINE Floats lock_of(const Floats before, const Ints right, const Floats seen) {
     const Floats most = (float)LOCK_FRAMES, counted = before + (right ? (Floats)(1.0f) : (Floats)(-1.0f));
-    const Floats next = before > most ? before - 1.0f : wide_lesser(wide_greater(counted, (Floats)(0.0f)), most);
+    const Floats next = before > most ? before - 1.0f : within_limits(counted, (Floats)(0.0f), most);
     const Ints thin = (seen < MET) & (before >= SETTLED);
     return thin ? (Floats)(THIN) : next;
 }
@@ -273,7 +271,7 @@ INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, c
     const Floats rest = wide_divide((Floats)(1.0f), 1.0f + UNREST * motion * motion);
     const Wide4 middle = gather_channels(past.mean, src), around = gather_channels(past.deviation, src);
     const Floats trust =
-        wide_greater(1.0f - wide_divide(middle.w, WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
+        wide_greater(1.0f - wide_divide(middle.c[3], WRONG + (WRONG_AT_REST - WRONG) * rest), (Floats)(0.0f));
     const Floats before = to_floats(gather_bytes(past.lock, to_ints(at_y) * width + to_ints(at_x)));
     const Ints rests = known & (motion < AT_REST);
     r->locked = rests ? lock_of(before, trust * seen >= AGREED, seen) : (Floats)(0.0f);
@@ -281,7 +279,7 @@ INLINE void recall(__constant Frame *frame, const Past past, const Floats *px, c
     r->color = bounded(cubic_at(known, px_previous[0], px_previous[1], width, height, SHARP_SLOPE, past.history),
                        middle, around, thin ? (Floats)(LOCKED_ROOM) : (Floats)(0.0f), frame->exposure);
     r->believed = known ? trust * (thin ? (Floats)(1.0f) : seen) : (Floats)(0.0f);
-    r->held = wide_lesser(r->color.w * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
+    r->held = wide_lesser(r->color.c[3] * r->believed, MOVED_WEIGHT + (MOST_WEIGHT - MOVED_WEIGHT) * rest);
 }
 
 /* The rendered frame into the history. */
@@ -293,7 +291,6 @@ WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const h
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int source_width = frame->source_width, source_height = frame->source_height;
     const float4 to_render = frame->to_render, to_previous_display = frame->to_previous_display;
-    const float2 pixel_size = frame->pixel_size;
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1);
     const int dst = dst_y * target_width + dst_x, count = target_width - dst_x;
     if (dst_x >= target_width || dst_y >= target_height) return;
@@ -306,8 +303,8 @@ WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const h
     /* Samples near these pixels, and the frame itself, interpolated. */
     const Floats off_x = to_floats(x) + 0.5f - px_x, off_y = (float)y + 0.5f - px_y;
     Floats wx[3], wy[3], far_x[3], far_y[3];
-    near_weights(off_x * pixel_size.x, pixel_size.x, wx);
-    near_weights(off_y * pixel_size.y, pixel_size.y, wy);
+    near_weights(off_x * frame->pixel_size.x, frame->pixel_size.x, wx);
+    near_weights(off_y * frame->pixel_size.y, frame->pixel_size.y, wy);
     far_weights(off_x, far_x);
     far_weights(off_y, far_y);
     const Weights near = weights_of(wx, wy), far = weights_of(far_x, far_y);
@@ -323,23 +320,20 @@ WIDE __kernel void accumulate(__constant Frame *restrict frame, __global const h
     px_previous[1] = (px_y + moved_y) * to_previous_display.y + to_previous_display.w;
     const Ints known =
         within(px_previous[0], px_previous[1], target_width, target_height) & ((Ints)(frame->has_previous) != 0);
-    Recalled r = {{none, none, none, none}, none, none, none};
-    if (ANY(known)) recall(frame, past, px, known, px_previous, src, fresh.w * per_far, &r);
+    Recalled r = {{{none, none, none, none}}, none, none, none};
+    if (ANY(known)) recall(frame, past, px, known, px_previous, src, fresh.c[3] * per_far, &r);
 
     /* Without confidence the interpolated frame replaces it; single samples would be dots in a grid. */
     const Floats kept = wide_lesser(r.held * (1.0f / LEAST_SHOWN), (Floats)(1.0f));
     const Floats counted = known ? kept : (Floats)(1.0f), share = FRESH * (1.0f - kept);
-    const Wide4 now = {fresh.x * per_far, fresh.y * per_far, fresh.z * per_far, fresh.w};
-    r.color.x = known ? r.color.x + (now.x - r.color.x) * share : now.x;
-    r.color.y = known ? r.color.y + (now.y - r.color.y) * share : now.y;
-    r.color.z = known ? r.color.z + (now.z - r.color.z) * share : now.z;
     const Floats held = wide_greater(r.held, (Floats)(LEAST_SHOWN));
     total = counted * total + held;
     const Floats scale = wide_divide((Floats)(1.0f), total);
-    sum.x = (counted * sum.x + held * r.color.x) * scale;
-    sum.y = (counted * sum.y + held * r.color.y) * scale;
-    sum.z = (counted * sum.z + held * r.color.z) * scale;
-    sum.w = wide_lesser(total, (Floats)(MOST_WEIGHT));
+    for (int k = 0; k < 3; ++k) {
+        const Floats now = fresh.c[k] * per_far, before = r.color.c[k];
+        sum.c[k] = (counted * sum.c[k] + held * (known ? before + (now - before) * share : now)) * scale;
+    }
+    sum.c[3] = wide_lesser(total, (Floats)(MOST_WEIGHT));
     store_channels(expanded(sum, frame->exposure), count, out_history + 4 * dst);
     store_some_bytes(to_bytes(to_ints(r.locked)), count, out_lock + dst);
     store_some_bytes(to_bytes(to_ints(255.0f * (1.0f - r.believed) + 0.5f)), count, rejected + dst);
@@ -355,35 +349,22 @@ WIDE __kernel void generate(__constant Frame *restrict frame, const int correcte
     const int x = get_global_id(0) * LANES, y = get_global_id(1), i = y * target_width + x, count = target_width - x;
     if (x >= target_width || y >= target_height) return;
     const Span p = span_at(x, y, target_width, target_height);
-    Ints near_x, near_y;
-    const bool elsewhere = nearest_around(p, depth, &near_x, &near_y);
-    const Ints nearest = near_y * target_width + near_x;
-    Floats moved_y;
-    const Floats moved_x = elsewhere ? gather_xy(motion, nearest, &moved_y) : xy_beside(p, motion, 0, 0, &moved_y);
-    const Floats center_x = to_floats(near_x) + 0.5f, center_y = to_floats(near_y) + 0.5f;
-    const Floats px_x = row_centers(x) + ((center_x + moved_x) * to_shown.x + to_shown.z - center_x);
-    const Floats px_y = ((float)y + 0.5f) + ((center_y + moved_y) * to_shown.y + to_shown.w - center_y);
+    const Nearest near = nearest_around(p, depth, motion);
+    const Floats px_x = row_centers(x) + ((near.center_x + near.moved_x) * to_shown.x + to_shown.z - near.center_x);
+    const Floats px_y = ((float)y + 0.5f) + ((near.center_y + near.moved_y) * to_shown.y + to_shown.w - near.center_y);
     Ints uncovered = bytes_beside(p, disoccluded, 0, 0);
-    if (elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, nearest));
+    if (near.elsewhere) uncovered |= to_ints(gather_bytes(disoccluded, near.at));
     const Ints seen = (uncovered == 0) & within(px_x, px_y, target_width, target_height);
     Wide4 shown = cubic_at(seen, px_x, px_y, target_width, target_height, SHARP_SLOPE, history);
     const Ints own_i = clamped_beside(p, 0, 0);
     Wide4 own = shown;
-    if (corrected || !ALL(seen)) {
-        const Wide4 raw = gather_channels(color, own_i);
-        own.x = finite(raw.x);
-        own.y = finite(raw.y);
-        own.z = finite(raw.z);
-    }
+    if (corrected || !ALL(seen)) own = finite_rgb(gather_channels(color, own_i));
     if (corrected) {
-        const Wide4 before = gather_channels(gae, own_i);
-        shown.x += own.x - finite(before.x);
-        shown.y += own.y - finite(before.y);
-        shown.z += own.z - finite(before.z);
+        const Wide4 before = finite_rgb(gather_channels(gae, own_i));
+        for (int k = 0; k < 3; ++k) shown.c[k] += own.c[k] - before.c[k];
     }
-    const Floats none = 0.0f, top = COLOR_MAX;
-    const Wide4 out = {seen ? wide_lesser(wide_greater(shown.x, none), top) : own.x,
-                       seen ? wide_lesser(wide_greater(shown.y, none), top) : own.y,
-                       seen ? wide_lesser(wide_greater(shown.z, none), top) : own.z, none};
-    store_channels(out, count, out_color + 4 * i);
+    for (int k = 0; k < 3; ++k)
+        shown.c[k] = seen ? within_limits(shown.c[k], (Floats)(0.0f), (Floats)(COLOR_MAX)) : own.c[k];
+    shown.c[3] = 0.0f;
+    store_channels(shown, count, out_color + 4 * i);
 }

@@ -82,7 +82,7 @@ SPARSE __kernel void mark_user_interface(__constant Frame *restrict frame, __glo
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const int i = y * width + x;
-    bool marked = (frame->has_overlays & 1) && given_mask[i];
+    bool marked = (frame->has_overlays & FIXED_MASK) && given_mask[i];
     for (int near = 0; near < 9 && !marked; ++near) {
         const int near_x = x + near % 3 - 1, near_y = y + near / 3 - 1;
         if (!has_evidence(evidence, near_x, near_y, width, height)) continue;

@@ -1,7 +1,7 @@
 /* The previous rendered frame at pixels of the extrapolated one (paper: I^w and M^input of 'Shading Correction
    Network'), one at a time, or 2x2 at a time where they show one surface. */
 
-#include "common.h"
+#include "frame.h"
 #include "simd_rgb.h"
 #include "thresholds.h"
 
@@ -11,30 +11,27 @@
 #define MASK_DISOCCLUDED 0.0f
 #define MASK_REST 0.5f
 
-/* The extrapolated frame, and the two rendered ones that its pixels are looked up in. `known`: whether there is one
-   of t-1. */
+/* The extrapolated frame, and the two rendered ones that its pixels are looked up in. */
 typedef struct {
-    int known, target_width, source_width, source_height;
+    __constant Frame *frame;
     __global const half *color, *color_prev;
     __global const float *depth, *depth_prev;
     __global const float2 *out_motion, *motion;
     __global const uchar *is_dynamic, *disoccluded;
-    __constant const Reprojection *to_previous;
 } Frames;
 
 /* Color of t-1 at a pixel's surface (see position_before), of the taps that show it; false where they show too
    little. */
-INLINE bool color_before(const float3 before, const float tolerance, const int source_width, const int source_height,
-                         __global const half *color_prev, __global const float *depth_prev, float3 *rgb) {
-    const int x0 = (int)floor(before.x), y0 = (int)floor(before.y);
+INLINE bool color_before(const Frames *f, const float3 before, const float tolerance, float3 *rgb) {
+    const int width = f->frame->source_width, x0 = (int)floor(before.x), y0 = (int)floor(before.y);
     float3 sum = (float3)(0.0f);
     float weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
-        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
-        if (!inside(tap_x, tap_y, source_width, source_height)) continue;
-        if (!is_same_surface(depth_prev[tap_y * source_width + tap_x], before.z, tolerance)) continue;
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * width + x;
+        if (!inside(x, y, width, f->frame->source_height)) continue;
+        if (!is_same_surface(f->depth_prev[i], before.z, tolerance)) continue;
         const float weight = bilinear_weight(tap, before.x - (float)x0, before.y - (float)y0);
-        sum += weight * load_color(color_prev, tap_y * source_width + tap_x);
+        sum += weight * load_color(f->color_prev, i);
         weight_sum += weight;
     }
     if (!(weight_sum >= LEAST_WEIGHT)) return false;
@@ -62,29 +59,26 @@ DEFINE_PLACE_BEFORE(Floats, wide_place_before)
 
 /* I^w of a pixel: (color of t-1 at its surface, 1), or (GAE color, 0) where that was hidden or outside then. */
 INLINE float4 previous_at(const Frames *f, const int x, const int y) {
-    const int dst = y * f->target_width + x;
+    const int width = f->frame->source_width, height = f->frame->source_height, dst = y * f->frame->target_width + x;
     const float2 px = pixel_center(x, y);
     float x_before, y_before, z_before;
-    place_before(px.x, px.y, 1.0f / f->depth[dst], *f->to_previous, &x_before, &y_before, &z_before);
-    float3 before = (float3)(x_before, y_before, f->known ? z_before : -1.0f);
+    place_before(px.x, px.y, 1.0f / f->depth[dst], f->frame->target_to_previous, &x_before, &y_before, &z_before);
+    float3 before = (float3)(x_before, y_before, f->frame->has_previous ? z_before : -1.0f);
     float tolerance = SAME_SURFACE * before.z;
     if (f->is_dynamic[dst] && before.z > 0.0f) {
         const float2 now = px + f->out_motion[dst];
-        const bool in_image =
-            now.x >= 0.0f && now.x < (float)f->source_width && now.y >= 0.0f && now.y < (float)f->source_height;
-        const float2 mv = in_image ? f->motion[(int)now.y * f->source_width + (int)now.x] : (float2)(NAN);
+        const float2 mv = holds(width, height, now) ? f->motion[(int)now.y * width + (int)now.x] : (float2)(NAN);
         const float2 moved = now + mv;
         tolerance += DEPTH_PER_MOTION * (fabs(moved.x - before.x) + fabs(moved.y - before.y))
-                     * (before.z / f->to_previous->target.x);
+                     * (before.z / f->frame->target_to_previous.target.x);
         before = isfinite(mv.x) && isfinite(mv.y) ? (float3)(moved, before.z) : (float3)(-1.0f);
     }
     before.x -= 0.5f;
     before.y -= 0.5f;
-    const bool met = before.z > 0.0f && before.x > -1.0f && before.x < (float)f->source_width && before.y > -1.0f
-                     && before.y < (float)f->source_height;
+    const bool met =
+        before.z > 0.0f && before.x > -1.0f && before.x < (float)width && before.y > -1.0f && before.y < (float)height;
     float3 rgb;
-    if (met && color_before(before, tolerance, f->source_width, f->source_height, f->color_prev, f->depth_prev, &rgb))
-        return (float4)(clamp(rgb, -COLOR_MAX, COLOR_MAX), 1.0f);
+    if (met && color_before(f, before, tolerance, &rgb)) return (float4)(clamp(rgb, -COLOR_MAX, COLOR_MAX), 1.0f);
     return (float4)(load_color(f->color, dst), 0.0f);
 }
 
@@ -108,16 +102,15 @@ typedef struct {
 /* Replaces the places (x, y) of quads that move, by the motion of both intervals at their first pixels `at`. */
 INLINE void follow_motion(const Frames *f, const Ints at, const Ints follows, const Floats px_x, const float px_y,
                           Wide3 *before, Floats *tolerance, Ints *smooth) {
-    __global const float *out_motion = (__global const float *)f->out_motion,
-                         *motion = (__global const float *)f->motion;
-    const Floats x = px_x + gather_floats(out_motion, 2 * at), y = px_y + gather_floats(out_motion, 2 * at + 1);
-    const Ints in_image =
-        follows & (x >= 0.0f) & (x < (float)f->source_width) & (y >= 0.0f) & (y < (float)f->source_height);
-    const Ints src = to_ints(in_image ? y : (Floats)(0.0f)) * f->source_width + to_ints(in_image ? x : (Floats)(0.0f));
-    const Floats mv_x = gather_floats(motion, 2 * src), mv_y = gather_floats(motion, 2 * src + 1);
+    Floats out_y, mv_y;
+    const Floats x = px_x + gather_xy(f->out_motion, at, &out_y), y = px_y + out_y;
+    const int width = f->frame->source_width, height = f->frame->source_height;
+    const Ints in_image = follows & (x >= 0.0f) & (x < (float)width) & (y >= 0.0f) & (y < (float)height);
+    const Ints src = to_ints(in_image ? y : (Floats)(0.0f)) * width + to_ints(in_image ? x : (Floats)(0.0f));
+    const Floats mv_x = gather_xy(f->motion, src, &mv_y);
     const Floats x_before = x + mv_x, y_before = y + mv_y;
     const Floats sideways =
-        (fabs(x_before - before->x) + fabs(y_before - before->y)) * (before->z / f->to_previous->target.x);
+        (fabs(x_before - before->x) + fabs(y_before - before->y)) * (before->z / f->frame->target_to_previous.target.x);
     *tolerance = follows ? *tolerance + DEPTH_PER_MOTION * sideways : *tolerance;
     before->x = follows ? x_before : before->x;
     before->y = follows ? y_before : before->y;
@@ -128,12 +121,12 @@ INLINE void follow_motion(const Frames *f, const Ints at, const Ints follows, co
    pixels move. They keep their shape: the previous frame is seen from close by. */
 INLINE Quads find_quads(const Frames *f, const Ints at, const Floats px_x, const float px_y, const Floats *nearness,
                         const Ints all_move, const Ints some_move) {
-    const int width = f->source_width, height = f->source_height;
+    const int width = f->frame->source_width, height = f->frame->source_height;
     const Floats mean = 0.25f * ((nearness[0] + nearness[1]) + (nearness[2] + nearness[3]));
     const Floats least = wide_lesser(wide_lesser(nearness[0], nearness[1]), wide_lesser(nearness[2], nearness[3]));
     const Floats most = wide_greater(wide_greater(nearness[0], nearness[1]), wide_greater(nearness[2], nearness[3]));
     Wide3 before;
-    wide_place_before(px_x, px_y, mean, *f->to_previous, &before.x, &before.y, &before.z);
+    wide_place_before(px_x, px_y, mean, f->frame->target_to_previous, &before.x, &before.y, &before.z);
     Floats tolerance = SAME_SURFACE * before.z;
     Ints smooth = (all_move | !some_move) & (most - least <= SAME_SURFACE * mean) & (before.z > 0.0f);
     if (ANY(all_move)) follow_motion(f, at, all_move, px_x, px_y, &before, &tolerance, &smooth);

@@ -1,6 +1,6 @@
 """Compare the times of two versions of gffe-cl for the same frames, in turns on one machine.
 
-    python docs/tools/compare_speed.py                                       61564f7 and this working tree, plaza, 1080p
+    python docs/tools/compare_speed.py                                       HEAD and this working tree, plaza, 1080p
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
     python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
@@ -38,14 +38,8 @@ from pages import REPOSITORY
 if TYPE_CHECKING:
     from gffe_cl.engine.timing.footage import FrameLoop, Turn
 
-OLD = "61564f7"
-# Parts by the names that `take_timings` has, or had in older versions, where they differ.
+# Parts by the names that `take_timings` has, where they differ.
 PARTS = {
-    "surfaces": "connectivity",
-    "blocks": "backward_blocks",
-    "hidden": "hidden_parts",
-    "cuts": "scene_cuts",
-    "trend": "SCN, trend",
     "shading_trend": "SCN, trend",
     "shading": "SCN, inputs",
     "network_input": "SCN, inputs",
@@ -243,7 +237,7 @@ def show(report: dict) -> None:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--old", default=OLD, help="commit, or folder of a checkout")
+    parser.add_argument("--old", default="HEAD", help="commit, or folder of a checkout")
     parser.add_argument("--new", default=str(REPOSITORY), help="the same; default: this working tree")
     parser.add_argument("--scene", action="append", default=[], help="a built-in scene; may be repeated")
     parser.add_argument("--sequence", action="append", default=[], help="folder of a sequence; may be repeated")

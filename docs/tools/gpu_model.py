@@ -104,7 +104,7 @@ def convolutions(gpu: Gpu, assumed: Assumptions) -> Times:
     of bytes; an image moves once for each layer that reads or writes it."""
     from gffe_cl.engine.inference.integer_layers import read_layers
     from gffe_cl.engine.inference.model_interface import CANDIDATE_PLANES, INPUT_PLANES, JUDGEMENT_PLANES
-    from gffe_cl.engine.inference.providers import PACKAGED, cpu_model
+    from gffe_cl.engine.inference.sessions import PACKAGED, cpu_model
     from gffe_cl.engine.stages.buffers import Sizes
 
     sizes = Sizes((1920, 1080), (1920, 1080))

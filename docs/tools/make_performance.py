@@ -5,8 +5,7 @@
                                                                        forest and a sequence: the same anywhere
 
 The other records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and on a quiet machine
-`gffe bench --methods --json docs/measured/methods.json`, `gffe bench --io --json docs/measured/io.json` and
-`python docs/tools/compare_speed.py … --json docs/measured/speed.json`.
+`gffe bench --methods --json docs/measured/methods.json` and `gffe bench --io --json docs/measured/io.json`.
 """
 
 from __future__ import annotations
@@ -74,17 +73,6 @@ def io_table() -> str:
         "written on the way in: upload / zero-copy, B/px",
     )
     return table(("on", "color", *heads), rows)
-
-
-def speed_table() -> str:
-    rows = []
-    for one in recorded("speed")["of"]:
-        old, new, ratio = (one[side] for side in ("old", "new", "ratio"))
-        for part in ("GAE", "SCN, network", "SCN, inputs and kernels", "wall time"):
-            if part in ratio:
-                where = f"`{one['of']}`, {one['width']}×{one['height']}, {_runtime(one['device'])}"
-                rows.append((where, part, f"{old[part]:.1f}", f"{new[part]:.1f}", f"**{ratio[part]:.2f}**"))
-    return table(("", "", "61564f7, ms", "now, ms", "times as fast"), rows)
 
 
 _FAST = "GAE, preset `performance`"
@@ -197,7 +185,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "methods_text": methods_text,
     "methods": methods_table,
     "methods_regions": regions_table,
-    "speed": speed_table,
 }
 
 

@@ -28,8 +28,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
-from gffe_cl.lab.compare import NO_HISTORY
-from gffe_cl.lab.metrics import METRICS, to_display
+from gffe_cl.lab.compare import compare
 
 SIZE, FRAMES, FPS = (240, 136), 21, 30.0
 MOVING = 0.4  # of the pixels, with objects of one's own
@@ -127,12 +126,7 @@ def quality(sequence: Sequence, truth: Sequence, device: Device, folder: Path, p
     """Return the mean PSNR of the frames in between as `gffe compare` has it, dB."""
     options = Options(shading_correction=False)
     run_sequence(Recorded(sequence, device), folder, device, options, [0.5], predicted_camera=predicted)
-    made, psnr = open_sequence(folder), METRICS["psnr"]
-    scores = [
-        psnr.measure(*(to_display(s.read_color(e), truth.exposure) for s, e in ((made, a), (truth, b))), None)
-        for a, b in zip(made.extrapolated[NO_HISTORY:], truth.ground_truth[NO_HISTORY:], strict=True)
-    ]
-    return float(np.mean(scores))
+    return compare(open_sequence(folder), truth).mean["psnr"]
 
 
 def with_true_cameras(truth: Sequence, bare: Sequence) -> Sequence:

@@ -8,7 +8,7 @@ Records on the default device (`GFFE_DEVICE` chooses another), and says what has
 from __future__ import annotations
 
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.engine.selftest.network import record
+from gffe_cl.engine.selftest.network import model_digest
 from gffe_cl.engine.selftest.reference import Reference, inputs_digest, reference_path
 from gffe_cl.engine.selftest.scene import frames
 from gffe_cl.engine.selftest.workload import CASES, SIZE, forms_of, moments
@@ -16,13 +16,12 @@ from gffe_cl.engine.selftest.workload import CASES, SIZE, forms_of, moments
 
 def recorded_now() -> Reference:
     """Return the references as this code makes them."""
-    reference = Reference()
+    reference = Reference(model=model_digest())
     for name, case in CASES.items():
         device = open_device()
         reference.inputs[name] = inputs_digest(frames(*SIZE, case.render_size))
         for moment, buffers in moments(device, case, forms_of(device)[0]):
             reference.record(name, moment, buffers)
-    record(reference)
     return reference
 
 

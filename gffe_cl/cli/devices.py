@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -16,9 +16,6 @@ from gffe_cl.cli.common import (
     write_json,
 )
 
-if TYPE_CHECKING:
-    from gffe_cl.engine.inference.provider_check import ProviderVerdict
-
 
 @app.command()
 def devices(
@@ -28,8 +25,7 @@ def devices(
     ] = False,
     json_path: JsonOption = None,
 ) -> None:
-    """List every OpenCL device with the result of a test kernel and its missing features, and the runtimes for the
-    network."""
+    """List every OpenCL device with the result of a test kernel and its missing features."""
     from dataclasses import asdict
 
     from gffe_cl.engine.inference.network import RUNS_ON
@@ -58,22 +54,7 @@ def devices(
         when = "just now" if age is None else f"{duration(age)} ago"
         out.print(f"tested {when}; other programs slow the test down: --refresh repeats it")
         out.print(f"the default runs the network {RUNS_ON['gpu' if default.kind == 'gpu' else 'cpu']} (--scn-provider)")
-    verdicts = _provider_verdicts(refresh)
-    for found in verdicts:
-        out.print(plain(f"network's provider {found.provider}: {found.summary()}"))
     document = {"devices": [asdict(i) | {"default": i is default} for i in infos], "age_seconds": age or 0.0}
-    write_json(json_path, document | {"providers": [asdict(found) for found in verdicts]})
+    write_json(json_path, document)
     if not working:
         raise none_works(infos or every, kind)
-
-
-def _provider_verdicts(refresh: bool) -> list[ProviderVerdict]:
-    """Return the verdicts on all installed providers except the CPU's, with the package's own network."""
-    from gffe_cl.engine.inference.network import default_model
-    from gffe_cl.engine.inference.provider_check import verdict
-    from gffe_cl.engine.inference.providers import CPU, installed_providers
-
-    model = default_model()
-    if model is None:
-        return []
-    return [verdict(model, provider, refresh) for provider in installed_providers() if provider != CPU]

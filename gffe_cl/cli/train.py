@@ -81,17 +81,14 @@ def train(
     device: DeviceOption = None,
     json_path: JsonOption = None,
 ) -> None:
-    """Train the shading correction network on varied built-in scenes, and export it as ONNX.
-
-    Several GPUs: torchrun --nproc-per-node N -m gffe_cl train …
-    """
+    """Train the shading correction network on varied built-in scenes, and export it as ONNX."""
     require_packages("training", "train", "torch", "tensorboard")
     import torch
 
     from gffe_cl.engine.opencl.device import open_device
     from gffe_cl.lab.training.clips import complete_clips, finished_clips, make_clips
     from gffe_cl.lab.training.crops import list_crops
-    from gffe_cl.lab.training.training import Processes, Recipe, Training, clips_of_run
+    from gffe_cl.lab.training.training import Recipe, Training, clips_of_run
 
     if minutes is not None and not minutes > 0:
         raise GffeError(f"--minutes must be positive, got {minutes:g}")
@@ -107,44 +104,35 @@ def train(
     if begun is not None and clips < begun:
         raise GffeError(f"--clips {clips}: {folder} was started with {begun} (expected at least as many)")
     wanted = begun or clips
-    processes = Processes()
-    try:
-        with progress_bars() as bars, ExitStack() as stack:
-            if processes.first and not data_only:
-                stack.enter_context(only_process(folder))
-            plan = _Plan(minutes, data_only, begun, lambda text: bars.console.print(text) if processes.first else None)
-            task = bars.add_task("clips", total=-(-wanted // processes.count), visible=processes.first)
+    with progress_bars() as bars, ExitStack() as stack:
+        if not data_only:
+            stack.enter_context(only_process(folder))
+        plan = _Plan(minutes, data_only, begun, bars.console.print)
+        task = bars.add_task("clips", total=wanted)
 
-            def on_clip(made: bool) -> None:
-                bars.advance(task)
-                plan.clip(made, wanted, processes.count)
+        def on_clip(made: bool) -> None:
+            bars.advance(task)
+            plan.clip(made, wanted)
 
-            part = processes.rank, processes.count
-            make_clips(data, open_device(device), seed, wanted, on_clip, part, plan.clips_until, _LEAST_CLIPS)
-            processes.any(False)  # all have made theirs
-            if data_only:
-                if processes.first:
-                    made = len(finished_clips(data, seed, wanted))
-                    late = made < wanted
-                    out.print(
-                        f"clips: {made} of {wanted}" + ("; run the same command again to continue" if late else "")
-                    )
-                    write_json(json_path, {"clips": made, "done": False})
-                return
-            count = complete_clips(data, seed, wanted)
-            training = Training(folder, recipe, list_crops(data, seed, count), processes, vgg, count, start)
-            bars.update(task, description="steps", total=steps, completed=training.step)
-            plan.begin_steps(training.step, steps)
+        make_clips(data, open_device(device), seed, wanted, on_clip, plan.clips_until, _LEAST_CLIPS)
+        if data_only:
+            made = len(finished_clips(data, seed, wanted))
+            out.print(
+                f"clips: {made} of {wanted}" + ("; run the same command again to continue" if made < wanted else "")
+            )
+            write_json(json_path, {"clips": made, "done": False})
+            return
+        count = complete_clips(data, seed, wanted)
+        training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start)
+        bars.update(task, description="steps", total=steps, completed=training.step)
+        plan.begin_steps(training.step, steps)
 
-            def on_step(progress) -> None:
-                bars.update(task, completed=progress.step)
-                plan.step(progress.step, steps)
+        def on_step(progress) -> None:
+            bars.update(task, completed=progress.step)
+            plan.step(progress.step, steps)
 
-            done = training.run(plan.steps_until, on_step)
-        if processes.first:
-            _export(training, folder, data, count, done, torch.__version__, json_path)
-    finally:
-        processes.close()
+        done = training.run(plan.steps_until, on_step)
+    _export(training, folder, data, count, done, torch.__version__, json_path)
 
 
 _LEAST_CLIPS = 2  # to train on and to validate with
@@ -173,16 +161,16 @@ class _Plan:
                 + ("" if data_only else ", then steps, then the model")
             )
 
-    def clip(self, made: bool, wanted: int, processes: int) -> None:
+    def clip(self, made: bool, wanted: int) -> None:
         """Update the plan after a clip."""
         self.made += made
         if not made or self.made != _LEAST_CLIPS:
             return
         each = (time.monotonic() - self.started) / self.made
         if self.clips_until is None:
-            self.say(f"clips: {each:.1f} s each, about {duration(each * wanted / processes)} for {wanted}")
+            self.say(f"clips: {each:.1f} s each, about {duration(each * wanted)} for {wanted}")
         else:
-            possible = int((self.clips_until - self.started) / each) * processes
+            possible = int((self.clips_until - self.started) / each)
             self.say(
                 f"clips: {each:.1f} s each, about {max(_LEAST_CLIPS, min(possible, wanted))} of {wanted} in this time"
             )
@@ -231,8 +219,6 @@ def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_ve
     }
     if recipe.integers:
         facts["the same, integers"] = f"root of the mean square {rounded:.1g}"
-    if training.processes.count > 1:
-        facts["processes"] = str(training.processes.count)
     command = shlex.join(("gffe", *sys.argv[1:]))
     try:
         (folder / "MODEL_CARD.md").write_text(model_card(facts, figures, command))

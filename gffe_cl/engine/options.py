@@ -390,10 +390,9 @@ class Options:
     scn_provider: str | None = _option(
         None,
         "network's provider",
-        f"Runner of the network: {network.OPENCL}, onnxruntime's {', '.join(network.PROVIDERS)},"
-        f" or {network.AUTO}: the fastest.",
+        f"Runner of the network: {network.OPENCL}, its kernels; {network.ON_CPU}, onnxruntime; or {network.AUTO}.",
         kind=str,
-        automatic=f"auto: {network.OPENCL} on GPUs, else cpu",
+        automatic=f"auto: {network.OPENCL} on GPUs, else {network.ON_CPU}",
         flag="--scn-provider",
         remembered=False,
     )

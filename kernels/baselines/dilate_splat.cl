@@ -10,6 +10,7 @@
    `keys` and `winners` are what the splat leaves: the least depth that reached each pixel, and its word. */
 
 #include "../common.h"
+#include "../sampling.h"
 #include "../simd_texels.h"
 #include "../nearest.h"
 #include "../dilation.h"
@@ -58,18 +59,14 @@ WIDE __kernel void warp(const int width, const int height, const float alpha, __
             set_float(&move_y, k, move.y);
         }
     }
-    const Floats px_x =
-        wide_greater(wide_lesser(to_floats(x + LANE_NUMBERS) - move_x, (Floats)((float)(width - 1))), (Floats)(0.0f));
-    const Floats px_y = wide_greater(wide_lesser((float)y - move_y, (Floats)((float)(height - 1))), (Floats)(0.0f));
-    const Ints left = to_ints(px_x), right = min(left + 1, (Ints)(width - 1));
-    const Ints row = to_ints(px_y), top = row * width, bottom = min(row + 1, (Ints)(height - 1)) * width;
-    const bool in_row = ALL((row == FIRST_LANE(row)) & (left == FIRST_LANE(left) + LANE_NUMBERS) & (right > left));
-    const Ints taps[4] = {top + left, top + right, bottom + left, bottom + right};
-    const Floats across = px_x - to_floats(left), down = px_y - to_floats(row);
+    Sample from;
+    find_sample(row_indices(x) - move_x, (float)y - move_y, width, height, &from);
+    const bool in_row = ALL((from.tap == FIRST_LANE(from.tap) + LANE_NUMBERS) & (from.right == 1));
+    const Ints below = from.tap + from.down, taps[4] = {from.tap, from.tap + from.right, below, below + from.right};
     Strip made;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) {
-        const Texels u = OF_TEXELS(across, part), v = OF_TEXELS(down, part);
+        const Texels u = OF_TEXELS(from.u, part), v = OF_TEXELS(from.v, part);
         Texels c[4];
 #pragma unroll
         for (int k = 0; k < 4; ++k) c[k] = gather_texels(color, taps[k], part, in_row);

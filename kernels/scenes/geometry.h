@@ -52,18 +52,16 @@ typedef struct {
     int object, prim;
 } Hit;
 
-INLINE float3 turn(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
-    return (float3)(dot(r0.xyz, v), dot(r1.xyz, v), dot(r2.xyz, v));
+/* By the rows of a rigid 3x4. */
+INLINE float3 turn(__global const float4 *rows, const float3 v) {
+    return (float3)(dot(rows[0].xyz, v), dot(rows[1].xyz, v), dot(rows[2].xyz, v));
 }
 
-INLINE float3 move(const float4 r0, const float4 r1, const float4 r2, const float3 v) {
-    return turn(r0, r1, r2, v) + (float3)(r0.w, r1.w, r2.w);
+INLINE float3 move(__global const float4 *rows, const float3 v) {
+    return turn(rows, v) + (float3)(rows[0].w, rows[1].w, rows[2].w);
 }
 
-INLINE float3 nonzero(const float3 d) {
-    return (float3)(fabs(d.x) < 1e-18f ? 1e-18f : d.x, fabs(d.y) < 1e-18f ? 1e-18f : d.y,
-                    fabs(d.z) < 1e-18f ? 1e-18f : d.z);
-}
+INLINE float3 nonzero(const float3 d) { return fabs(d) < 1e-18f ? (float3)(1e-18f) : d; }
 
 /* ---- primitives: intersection and signed distance, all in local space ---- */
 
@@ -219,8 +217,8 @@ INLINE Hit meet_object(const World w, const int i, const float3 o, const float3 
     /* Small objects are met from nearby: their quadratics would cancel from afar. */
     const float dd = dot(d, d);
     const float start = bound.w < 8.0f ? greater((dot(bound.xyz - o, d) - bound.w * sqrt(dd)) / dd, 0.0f) : 0.0f;
-    const float3 o_local = move(object[1], object[2], object[3], o + start * d);
-    const float3 d_local = turn(object[1], object[2], object[3], d);
+    const float3 o_local = move(object + 1, o + start * d);
+    const float3 d_local = turn(object + 1, d);
     const int4 info = w.object_info[i];
     for (int j = info.x; j < info.x + info.y; ++j) {
         if (j == skip) continue;
@@ -283,8 +281,8 @@ INLINE float visibility(const World w, const float3 o, const float3 d, const flo
         const int4 info = w.object_info[i];
         if (!(info.z & CASTS_SHADOW)) continue;
         __global const float4 *object = w.objects + i * OBJECT_SIZE;
-        const float3 o_local = move(object[1], object[2], object[3], o);
-        const float3 d_local = turn(object[1], object[2], object[3], d);
+        const float3 o_local = move(object + 1, o);
+        const float3 d_local = turn(object + 1, d);
         for (int j = info.x; j < info.x + info.y; ++j) {
             if (j == skip) continue;
             const int type = w.prim_info[j].x;
@@ -319,8 +317,8 @@ INLINE float openness(const World w, const float3 p, const float3 n, const int s
         if (i < 0) continue;
         const int4 info = w.object_info[i];
         __global const float4 *object = w.objects + i * OBJECT_SIZE;
-        const float3 p_local = move(object[1], object[2], object[3], p);
-        const float3 n_local = turn(object[1], object[2], object[3], n);
+        const float3 p_local = move(object + 1, p);
+        const float3 n_local = turn(object + 1, n);
         for (int j = info.x; j < info.x + info.y; ++j) {
             if (j == skip) continue;
             const int type = w.prim_info[j].x;

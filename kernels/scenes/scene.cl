@@ -40,9 +40,8 @@ INLINE float3 surface_color(const World w, const int material_index, const float
     const bool solid = type == BOX || type == ELLIPSOID;
     const float3 center = solid ? prim_a.xyz : 0.5f * (prim_a.xyz + prim_b.xyz);
     const float3 extent = solid ? prim_b.xyz : (float3)(prim_a.w, 0.5f * length(prim_b.xyz - prim_a.xyz), prim_a.w);
-    const float4 base = material[0], second = material[1], finish = material[2], glow = material[3];
-    const float3 albedo = texture_color((int)base.w, base.xyz, second.xyz, second.w, glow.w, material[4].xyz, p_local,
-                                        n_local, center, extent, fp);
+    const float4 finish = material[2], glow = material[3];
+    const float3 albedo = texture_color(material, p_local, n_local, center, extent, fp);
     const float open = openness(w, p, n, prim);
     const float3 ambient =
         mix(w.frame[AMBIENT_DOWN].xyz, w.frame[AMBIENT_UP].xyz, 0.5f + 0.5f * n.y) * (0.25f + 0.75f * open);
@@ -75,32 +74,14 @@ INLINE float3 surface_color(const World w, const int material_index, const float
         const float3 middle = normalize(l - eye);
         highlight += color.xyz * (strength * facing * (power + 8.0f) * 0.04f * pow(max(dot(n, middle), 0.0f), power));
     }
-    const float3 emitted = glow.xyz * (0.4f + 0.6f * albedo / max(base.xyz, 0.02f));
+    const float3 emitted = glow.xyz * (0.4f + 0.6f * albedo / max(material[0].xyz, 0.02f));
     return albedo * diffuse * (1.0f - finish.w) + highlight * finish.x + emitted;
-}
-
-INLINE World make_world(__global const float4 *frame, __global const float4 *objects, __global const int4 *object_info,
-                        __global const float4 *prims, __global const int2 *prim_info, __global const float4 *materials,
-                        __global const float4 *lights, __global const float4 *nodes, __global const int *leaf_of,
-                        const int node_count, const int light_count) {
-    const World w = {.frame = frame,
-                     .objects = objects,
-                     .object_info = object_info,
-                     .prims = prims,
-                     .prim_info = prim_info,
-                     .materials = materials,
-                     .lights = lights,
-                     .nodes = nodes,
-                     .leaf_of = leaf_of,
-                     .node_count = node_count,
-                     .light_count = light_count};
-    return w;
 }
 
 INLINE float3 primary_direction(__global const float4 *frame, const float2 px) {
     const float4 inverse = frame[PINHOLE_INVERSE];
     const float3 v = (float3)((px.x - inverse.z) * inverse.x, (px.y - inverse.w) * inverse.y, 1.0f);
-    return turn(frame[VIEW_TO_REL], frame[VIEW_TO_REL + 1], frame[VIEW_TO_REL + 2], v);
+    return turn(frame + VIEW_TO_REL, v);
 }
 
 INLINE int surface_key(const World w, const Hit hit, const float3 o, const float3 d) {
@@ -108,7 +89,7 @@ INLINE int surface_key(const World w, const Hit hit, const float3 o, const float
     __global const float4 *object = w.objects + hit.object * OBJECT_SIZE;
     int face = 0;
     if (w.prim_info[hit.prim].x == BOX) {
-        const float3 p = move(object[1], object[2], object[3], o + hit.t * d);
+        const float3 p = move(object + 1, o + hit.t * d);
         const float3 n = prim_normal(BOX, w.prims[2 * hit.prim], w.prims[2 * hit.prim + 1], p);
         face = n.x > 0.5f ? 1 : n.x < -0.5f ? 2 : n.y > 0.5f ? 3 : n.y < -0.5f ? 4 : n.z > 0.5f ? 5 : 6;
     }
@@ -122,8 +103,13 @@ INLINE int surface_key(const World w, const Hit hit, const float3 o, const float
         const int node_count, const int light_count, __global const int *tiles, const int tile_stride,                 \
         const int width, const int height
 #define WORLD                                                                                                          \
-    make_world(frame, objects, object_info, prims, prim_info, materials, lights, nodes, leaf_of, node_count,           \
-               light_count)
+    {frame, objects, object_info, prims, prim_info, materials, lights, nodes, leaf_of, node_count, light_count}
+
+/* The objects that may be seen in the tile of pixel (x, y). */
+INLINE __global const int *tile_of(__global const int *tiles, const int tile_stride, const int x, const int y,
+                                   const int width) {
+    return tiles + (y / SHADED_TILE * ((width + SHADED_TILE - 1) / SHADED_TILE) + x / SHADED_TILE) * tile_stride;
+}
 
 /* Objects that may be seen in each tile of SHADED_TILE x SHADED_TILE pixels, in the given order. One work item per
    tile; tiles: (count, objects ...) per tile, `tile_stride` wide. */
@@ -138,11 +124,7 @@ __kernel void bin(__global const float4 *frame, __global const float4 *objects, 
     const float3 c00 = primary_direction(frame, (float2)(x0, y0)), c10 = primary_direction(frame, (float2)(x1, y0));
     const float3 c01 = primary_direction(frame, (float2)(x0, y1)), c11 = primary_direction(frame, (float2)(x1, y1));
     const float3 forward = primary_direction(frame, (float2)(0.5f * (x0 + x1), 0.5f * (y0 + y1)));
-    float3 side[4];
-    side[0] = cross(c00, c01);
-    side[1] = cross(c01, c11);
-    side[2] = cross(c11, c10);
-    side[3] = cross(c10, c00);
+    float3 side[4] = {cross(c00, c01), cross(c01, c11), cross(c11, c10), cross(c10, c00)};
     for (int k = 0; k < 4; ++k) side[k] = normalize(dot(side[k], forward) < 0.0f ? -side[k] : side[k]);
     __global int *list = tiles + i * tile_stride;
     int n = 0;
@@ -167,17 +149,9 @@ __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float 
     const int i = y * width + x;
     const float2 px = pixel_center(x, y);
     const float3 d = primary_direction(frame, px);
-    const int columns = (width + SHADED_TILE - 1) / SHADED_TILE;
-    __global const int *list = tiles + (y / SHADED_TILE * columns + x / SHADED_TILE) * tile_stride;
-    const Hit hit = trace(w, (float3)(0.0f), d, list, -1);
+    const Hit hit = trace(w, (float3)(0.0f), d, tile_of(tiles, tile_stride, x, y, width), -1);
     const bool sky = hit.prim < 0;
-    float3 other;
-    if (sky) {
-        other = turn(frame[REL_TO_OTHER], frame[REL_TO_OTHER + 1], frame[REL_TO_OTHER + 2], d);
-    } else {
-        __global const float4 *object = objects + hit.object * OBJECT_SIZE;
-        other = move(object[4], object[5], object[6], hit.t * d);
-    }
+    const float3 other = sky ? turn(frame + REL_TO_OTHER, d) : move(objects + hit.object * OBJECT_SIZE + 4, hit.t * d);
     depth[i] = hit.t;
     object_id[i] = hit.object;
     keys[i] = surface_key(w, hit, (float3)(0.0f), d);
@@ -197,8 +171,6 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
     if (x >= width || y >= height) return;
     const World w = WORLD;
     const int i = y * width + x;
-    const int columns = (width + SHADED_TILE - 1) / SHADED_TILE;
-    __global const int *list = tiles + (y / SHADED_TILE * columns + x / SHADED_TILE) * tile_stride;
     const float pixel_angle = footprint * frame[PINHOLE_INVERSE].y;
 
     bool edge = false;
@@ -217,7 +189,7 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
         const float2 px = (float2)((float)x + jx - floor(jx), (float)y + jy - floor(jy));
         float3 o = (float3)(0.0f), d = primary_direction(frame, px), weight = (float3)(1.0f);
         float traveled = 0.0f, spread = pixel_angle;
-        __global const int *seen = list;
+        __global const int *seen = tile_of(tiles, tile_stride, x, y, width);
         int skip = -1;
         bool flat_mirrors = true;
         for (int bounce = 0; bounce < MAX_BOUNCES; ++bounce) {
@@ -240,7 +212,7 @@ void shade(WORLD_ARGUMENTS, __global const float *depth, __global const int *obj
             const int type = prim_info[hit.prim].x, material_index = prim_info[hit.prim].y;
             const float4 a = prims[2 * hit.prim], b = prims[2 * hit.prim + 1];
             const float3 p = o + hit.t * d;
-            const float3 p_local = move(object[1], object[2], object[3], p);
+            const float3 p_local = move(object + 1, p);
             const float3 n_local = prim_normal(type, a, b, p_local);
             const float3 n = n_local.x * object[1].xyz + n_local.y * object[2].xyz + n_local.z * object[3].xyz;
             const float facing = clamp(-dot(n, eye), 0.0f, 1.0f);

@@ -82,10 +82,12 @@ INLINE float resolved(const float fp) { return 1.0f - smoothstep(0.4f, 1.2f, fp)
 
 INLINE float3 palette(const float h) { return 0.5f + 0.5f * cos(6.2832f * (h + (float3)(0.0f, 0.33f, 0.67f))); }
 
-/* Albedo at local point p with local normal n. `center` and `extent` are those of the primitive. */
-INLINE float3 texture_color(const int texture, const float3 color, const float3 color2, const float scale,
-                            const float contrast, const float3 seed, const float3 p, const float3 n,
-                            const float3 center, const float3 extent, const float fp_meters) {
+/* Albedo of a material at local point p with local normal n. `center` and `extent` are those of the primitive. */
+INLINE float3 texture_color(__global const float4 *material, const float3 p, const float3 n, const float3 center,
+                            const float3 extent, const float fp_meters) {
+    const int texture = (int)material[0].w;
+    const float3 color = material[0].xyz, color2 = material[1].xyz, seed = material[4].xyz;
+    const float scale = material[1].w, contrast = material[3].w;
     const float3 a = fabs(n);
     const float3 framed = texture == PICTURE || texture == SIGN || texture == CARPET ? p - center : p;
     const float2 uv = a.y > a.x && a.y > a.z ? framed.xz : a.x > a.z ? framed.zy : framed.xy;
@@ -136,10 +138,9 @@ INLINE float3 texture_color(const int texture, const float3 color, const float3 
         return mix(color * (tone + 0.55f * h * resolved(fp)), color2 * (0.8f + 0.4f * noise), joint);
     }
     if (texture == PLANKS) {
-        const float across = q.y, along = q.x;
-        const float row = floor(across);
-        const float x = along * 0.13f + hash_cell((int)row, 7, salt);
-        const float joint = max(lines(across, 0.016f, fp), lines(x, 0.0022f, fp * 0.13f));
+        const float row = floor(q.y);
+        const float x = q.x * 0.13f + hash_cell((int)row, 7, salt);
+        const float joint = max(lines(q.y, 0.016f, fp), lines(x, 0.0022f, fp * 0.13f));
         const float h = hash_cell((int)floor(x), (int)row, salt) - 0.5f;
         return mix(mix(color, color2, clamp(0.5f + contrast * 4.0f * (noise - 0.5f), 0.0f, 1.0f))
                        * (1.0f + 0.4f * h * resolved(fp)),
@@ -161,15 +162,8 @@ INLINE float3 texture_color(const int texture, const float3 color, const float3 
         c = mix(c, mix(color2, color * 0.45f, stripe), band);
         return c * tone * (1.0f - 0.25f * lines(q.x * 12.0f, 0.2f, fp * 12.0f));
     }
-    if (texture == STRIPES) {
-        const float y = p.y / scale;
-        const float wide = 0.5f + 0.5f * square_wave(y, fp);
-        return mix(color2, color, wide) * tone;
-    }
-    if (texture == BARK) {
-        const float ridge = smoothstep(0.35f, 0.6f, noise);
-        return mix(color2, color, ridge) * (0.75f + 0.5f * noise);
-    }
+    if (texture == STRIPES) return mix(color2, color, 0.5f + 0.5f * square_wave(p.y / scale, fp)) * tone;
+    if (texture == BARK) return mix(color2, color, smoothstep(0.35f, 0.6f, noise)) * (0.75f + 0.5f * noise);
     if (texture == LEAVES || texture == GRASS) {
         const bool leaves = texture == LEAVES;
         float3 c = mix(color2, color, leaves ? smoothstep(0.32f, 0.68f, noise) : smoothstep(0.2f, 0.75f, noise));

@@ -18,7 +18,6 @@ from dataclasses import dataclass, replace
 from functools import cache
 from importlib.util import find_spec
 from pathlib import Path
-from unittest.mock import patch
 
 import numpy as np
 import OpenEXR
@@ -32,7 +31,7 @@ from gffe_cl.engine.frame.camera import predict_camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.inspection.attached import wire
-from gffe_cl.engine.inspection.attached.channel import own_version, socket_folder
+from gffe_cl.engine.inspection.attached.channel import address_of, own_version
 from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
 from gffe_cl.engine.inspection.attached.shared_memory import About, Placed, RecordingPlan, recorded
 from gffe_cl.engine.inspection.buffers import Moment
@@ -291,16 +290,15 @@ def read_answer(data):
 
 @cache
 def attached_program():
-    """Return a pipeline that is attached under the name "fuzzed", and the folder of the sockets."""
+    """Return a pipeline and its attachment."""
     pipeline = Pipeline(open_device(), W, H, Options(shading_correction=False))
-    return pipeline, attach(pipeline, "fuzzed"), socket_folder()
+    return pipeline, attach(pipeline, f"fuzzed{os.getpid()}")
 
 
-@patch.dict(os.environ, XDG_RUNTIME_DIR=_valid.name)
 def read_viewers(numbers):
     """Let one to three viewers at once send valid and invalid messages to a living program in any order, with file
     descriptors, and leave. The program goes on: it renders frames, and answers the next viewer."""
-    rng, (pipeline, attachment, folder) = rng_of(numbers), attached_program()
+    rng, (pipeline, attachment) = rng_of(numbers), attached_program()
     hello = f"gffe-cl attach {own_version()}\n".encode()
     valid_ones = [
         hello,
@@ -315,7 +313,7 @@ def read_viewers(numbers):
         viewers.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
         viewers[-1].settimeout(0.05)
         with suppress(OSError):
-            viewers[-1].connect(str(folder / "fuzzed.socket"))
+            viewers[-1].connect(address_of(attachment.name))
             packets = [hello, valid_ones[1 + int(rng.integers(2))]][: int(rng.integers(3))]
             packets += [valid_ones[int(k)] for k in rng.integers(len(valid_ones), size=int(rng.integers(8)))]
             for packet in packets:
@@ -329,7 +327,7 @@ def read_viewers(numbers):
         viewer.close()
     start = time.monotonic()
     try:
-        RunningProgram("fuzzed", 0).close()
+        RunningProgram(attachment.name, 0).close()
     except GffeError as error:
         raise AssertionError("the program does not answer") from error
     for frame in seen():
@@ -414,8 +412,8 @@ def with_attributes(data, numbers):
         value = FORMS[form](rng)
         name = str(rng.choice(ATTRIBUTES))
         added += f"{name}\0{form}\0".encode() + struct.pack("<i", len(value)) + bytes(value)
-    head = exr_layout._parse(exr_layout._Cursor(data))[0]
-    (table,) = head.chunk_tables
+    head = exr_layout._parse(exr_layout._Cursor(data))
+    table = struct.Struct(f"<{exr_layout._chunk_count(head.parts[0])}Q")
     offsets = [offset + len(added) for offset in table.unpack(data[head.end : head.end + table.size])]
     return data[:8] + added + data[8 : head.end] + table.pack(*offsets) + data[head.end + table.size :]
 

@@ -200,13 +200,13 @@ def view():
     Path("steps.txt").write_text("layer frame.motion\nwait 0.2\nshot script.png\n")
     run(*XVFB, GFFE, "view", "rendered", "--script", "steps.txt")
     Path("attached.txt").write_text("layer frame.filled_by\nwait 0.2\nshot attached.png\n")
-    log, end = Path("log.txt"), time.monotonic() + PATIENCE
-    with subprocess.Popen([sys.executable, "-I", ATTACHED_PROGRAM, "game", log]) as program:
+    log, end, name = Path("log.txt"), time.monotonic() + PATIENCE, f"game{os.getpid()}"
+    with subprocess.Popen([sys.executable, "-I", ATTACHED_PROGRAM, name, log]) as program:
         try:
             while program.poll() is None and not (log.exists() and log.read_text()):
                 assert time.monotonic() < end, "the attached program renders nothing"
                 time.sleep(0.05)
-            run(*XVFB, GFFE, "view", "--attach", "game", "--script", "attached.txt")
+            run(*XVFB, GFFE, "view", "--attach", name, "--script", "attached.txt")
             assert program.poll() is None, "the attached program has ended"
         finally:
             program.kill()
@@ -216,7 +216,7 @@ def view():
 
 if __name__ == "__main__":
     assert Path(gffe_cl.__file__).is_relative_to(sys.prefix), f"{gffe_cl.__file__} is not installed"
-    os.environ.update({name: os.getcwd() for name in ("XDG_CONFIG_HOME", "XDG_RUNTIME_DIR")})  # settings, sockets
+    os.environ["XDG_CONFIG_HOME"] = os.getcwd()  # settings
     if "--quick" in sys.argv:
         run_commands(QUICK)
     elif "--default" in sys.argv:

@@ -1,15 +1,11 @@
 """The viewer attached to a running program: what it shows and switches there, and what is left when either dies."""
 
-import fcntl
 import os
 import pickle
-import shutil
 import signal
 import socket
-import stat
 import subprocess
 import sys
-import tempfile
 import threading
 import time
 from contextlib import suppress
@@ -32,14 +28,13 @@ from gffe_cl.viewer.state.settings import Settings
 
 W, H = 160, 96
 PATIENCE = 150.0
+NAME = f"game{os.getpid()}"
 PROGRAM = Path(__file__).with_name("attached_program.py")
 
 
-@pytest.fixture(autouse=True)
-def sockets(monkeypatch, tmp_path):
-    """The folder of the sockets, of this test alone."""
-    monkeypatch.setenv("XDG_RUNTIME_DIR", str(tmp_path))
-    return tmp_path / "gffe-cl"
+def attached():
+    """Return the names of the attached programs of this process's tests."""
+    return [name for name in channel.programs() if name.startswith(NAME)]
 
 
 def until(happens, what="something"):
@@ -53,49 +48,30 @@ def until(happens, what="something"):
 # ---- sockets ---------------------------------------------------------------------------------------------------------
 
 
-def test_folder_is_of_one_user(sockets):
-    assert channel.socket_folder() == sockets
-    assert stat.S_IMODE(sockets.stat().st_mode) == 0o700
-    sockets.chmod(0o750)
-    with pytest.raises(gffe.GffeError, match="a folder that only you can enter"):
-        channel.Listener("one", "stem")
-    shutil.rmtree(sockets)
-    sockets.symlink_to(sockets.parent)
-    with pytest.raises(gffe.GffeError, match="a folder that only you can enter"):
-        channel.connect("one")
-
-
-def test_names(sockets):
-    first, second = channel.Listener(None, "game"), channel.Listener(None, "game")
-    assert (first.name, second.name) == ("game", "game-2")
-    with pytest.raises(gffe.GffeError, match="attached as 'game' already"):
-        channel.Listener("game", "game")
-    with pytest.raises(gffe.GffeError, match=r"no program is attached as 'gam' \(there are: game, game-2\)"):
+def test_names():
+    first, second = channel.Listener(None, NAME), channel.Listener(None, NAME)
+    assert [first.name, second.name] == [NAME, f"{NAME}-2"] == attached()
+    with pytest.raises(gffe.GffeError, match=f"attached as '{NAME}' already"):
+        channel.Listener(NAME, "stem")
+    with pytest.raises(gffe.GffeError, match=rf"no program is attached as 'gam' \(there are: .*{NAME}, {NAME}-2"):
         channel.connect("gam")
     for name in ("", "../x", "a b", "x" * 65):
         with pytest.raises(gffe.GffeError, match="attach: name must be"):
             channel.Listener(name, "stem")
     first.close()
     second.close()
-    assert list(sockets.iterdir()) == []
+    assert attached() == []
 
 
-def test_what_a_dead_program_left_is_removed(sockets):
-    bind = (
-        "import socket, sys; s = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET); s.bind(sys.argv[1]); s.listen()"
-    )
-    folder = channel.socket_folder()
-    for name in ("dead", "other"):
-        subprocess.run([sys.executable, "-c", bind, str(folder / f"{name}.socket")], check=True)
-    assert len(list(folder.iterdir())) == 2
-    listener = channel.Listener("dead", "stem")
-    assert [path.name for path in folder.iterdir()] == ["dead.socket"]
-    listener.close()
+def test_nothing_is_left_of_a_dead_program():
+    lives = f"from gffe_cl.engine.inspection.attached.channel import Listener; print(Listener({NAME!r}, 'a').name)"
+    done = subprocess.run([sys.executable, "-c", lives], capture_output=True, text=True, check=True)
+    assert done.stdout.split() == [NAME] and attached() == []
 
 
 def test_other_users_are_refused(monkeypatch):
     """Neither side talks to a process of another user; the peer's identity is the kernel's."""
-    listener, own = channel.Listener("game", "game"), os.getuid()
+    listener, own = channel.Listener(NAME, NAME), os.getuid()
     taken = []
 
     def accept():
@@ -106,13 +82,13 @@ def test_other_users_are_refused(monkeypatch):
     thread.start()
     uid = lambda _: own + (threading.current_thread() is thread)  # noqa: E731  another one for the program
     monkeypatch.setattr(channel, "_peer_uid", uid)
-    foreign = channel.connect("game")
+    foreign = channel.connect(NAME)
     with pytest.raises(EOFError):
         foreign.receive(PATIENCE)
     assert not taken
     monkeypatch.setattr(channel, "_peer_uid", lambda connected: own + 1)
     with pytest.raises(gffe.GffeError, match="is another user's"):
-        channel.connect("game")
+        channel.connect(NAME)
     listener.close()
 
 
@@ -124,86 +100,38 @@ def test_kernel_tells_the_user():
 def test_other_systems_are_refused(monkeypatch, capsys):
     monkeypatch.setattr(sys, "platform", "win32")
     with pytest.raises(gffe.GffeError, match="attach: this system is win32 \\(expected Linux") as refused:
-        channel.Listener("game", "game")
+        channel.Listener(NAME, NAME)
     assert "\n" not in str(refused.value)
 
 
 # ---- what others do to the sockets -----------------------------------------------------------------------------------
 
 
-def test_nobody_waits_for_a_program_that_does_not_accept(sockets, monkeypatch):
+def test_nobody_waits_for_a_program_that_does_not_accept(monkeypatch):
     """As one in a debugger, or with a viewer, whose queue is full."""
-    stopped = channel.Listener("game", "game")
+    stopped = channel.Listener(NAME, NAME)
     waiting = []
     with suppress(BlockingIOError):
         while True:
             waiting.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET | socket.SOCK_NONBLOCK))
-            waiting[-1].connect(str(sockets / "game.socket"))
+            waiting[-1].connect(channel.address_of(NAME))
     start = time.monotonic()
-    others = [channel.Listener(None, "game") for _ in range(20)]
+    others = [channel.Listener(None, NAME) for _ in range(20)]
     assert time.monotonic() - start < 5
-    assert [other.name for other in others[:2]] == ["game-2", "game-3"]
-    with pytest.raises(gffe.GffeError, match="attached as 'game' already"):
-        channel.Listener("game", "game")
+    assert [other.name for other in others[:2]] == [f"{NAME}-2", f"{NAME}-3"]
+    with pytest.raises(gffe.GffeError, match=f"attached as '{NAME}' already"):
+        channel.Listener(NAME, NAME)
     monkeypatch.setattr(channel, "_CONNECT_SECONDS", 0.2)
-    with pytest.raises(gffe.GffeError, match="game: no answer"):
-        channel.connect("game")
+    with pytest.raises(gffe.GffeError, match=f"{NAME}: no answer"):
+        channel.connect(NAME)
     for one in (*waiting, *others, stopped):
         one.close()
-    assert list(sockets.iterdir()) == []
+    assert attached() == []
 
 
-def test_nobody_waits_for_a_locked_folder(sockets):
-    folder = os.open(channel.socket_folder(), os.O_RDONLY)
-    fcntl.flock(folder, fcntl.LOCK_EX)
-    start = time.monotonic()
-    listener = channel.Listener("game", "game")
-    channel.connect("game").close()
-    assert time.monotonic() - start < 5
-    listener.close()
-    os.close(folder)
-
-
-def test_foreign_things_in_the_folder_stay(sockets):
-    channel.socket_folder()
-    (sockets / "folder.socket").mkdir()
-    (sockets / "file.socket").write_text("mine")
-    (sockets / "loop.socket").symlink_to("loop.socket")
-    (sockets / ("x" * 200 + ".socket")).write_text("")
-    (sockets / "link.socket").symlink_to("stream.socket")
-    others = [
-        socket.socket(socket.AF_UNIX, kind) for kind in (socket.SOCK_STREAM, socket.SOCK_STREAM, socket.SOCK_DGRAM)
-    ]
-    for name, other in zip(("stream", "deaf", "datagram"), others, strict=True):
-        other.bind(str(sockets / f"{name}.socket"))
-    others[0].listen()
-    before = sorted(sockets.iterdir())
-    listener = channel.Listener(None, "folder")
-    assert listener.name == "folder-2" and sorted(sockets.iterdir()) == sorted([*before, listener._path])
-    with pytest.raises(gffe.GffeError, match=r"'gam' \(there are: folder-2\)"):
-        channel.connect("gam")
-    for name in ("folder", "file", "loop", "stream"):
-        with pytest.raises(gffe.GffeError, match=rf"{name}.socket is in the way \(expected another name\)"):
-            channel.Listener(name, "stem")
-        with pytest.raises(gffe.GffeError, match=f"no program is attached as '{name}'"):
-            channel.connect(name)
-    listener.close()
-    assert sorted(sockets.iterdir()) == before and (sockets / "file.socket").read_text() == "mine"
-    for other in others:
-        other.close()
-
-
-def test_a_taken_name_in_the_temporary_folder(monkeypatch, tmp_path):
-    monkeypatch.delenv("XDG_RUNTIME_DIR")
-    monkeypatch.setattr(tempfile, "tempdir", str(tmp_path))
-    (tmp_path / f"gffe-cl-sockets-{os.getuid()}").write_text("")
-    with pytest.raises(gffe.GffeError, match=r"not yours \(expected XDG_RUNTIME_DIR, or TMPDIR"):
-        channel.Listener("game", "game")
-
-
-def test_versions_are_compared_first(sockets):
+def test_versions_are_compared_first():
     """In plain text, so that any version can tell."""
-    listener = channel.Listener("game", "game")
+    listener = channel.Listener(NAME, NAME)
 
     def answer(hello):
         connected, _ = listener._socket.accept()
@@ -212,13 +140,13 @@ def test_versions_are_compared_first(sockets):
         connected.close()
 
     for hello, expected in (
-        (b"gffe-cl attach 0.0.1\n", "game: it runs gffe-cl 0.0.1, this viewer is of"),
-        (pickle.dumps("hello"), "game: it runs gffe-cl another version, this viewer is of"),
+        (b"gffe-cl attach 0.0.1\n", f"{NAME}: it runs gffe-cl 0.0.1, this viewer is of"),
+        (pickle.dumps("hello"), f"{NAME}: it runs gffe-cl another version, this viewer is of"),
     ):
         thread = threading.Thread(target=answer, args=(hello,), daemon=True)
         thread.start()
         with pytest.raises(gffe.GffeError, match=expected):
-            RunningProgram("game", 3)
+            RunningProgram(NAME, 3)
         thread.join()
     listener.close()
 
@@ -232,7 +160,7 @@ class Game:
     def __init__(self, device):
         self.pipeline = gffe.Pipeline(device, W, H, gffe.Options(shading_correction=False))
         self._frames = Live(load_scene("plaza"), device, W, H, 1000, 30.0).frames([0.5], False)
-        self.attachment = gffe.attach(self.pipeline, "game", pacer=gffe.Pacer(60))
+        self.attachment = gffe.attach(self.pipeline, NAME, pacer=gffe.Pacer(60))
 
     def step(self):
         self.frame = next(self._frames)[1]
@@ -272,7 +200,7 @@ def test_layers_are_the_pipelines(game):
     def remember():
         game.made and colors.setdefault(game.frame.time, game.color)
 
-    program = RunningProgram("game", 8)
+    program = RunningProgram(NAME, 8)
     assert game.pipeline.options == program.options and program.about.display == (W, H)
     until(lambda: game.attachment.watched, "the program to notice")
     game.step()  # nothing moves after the first frame: the warp's color would be the final one
@@ -303,7 +231,7 @@ def test_layers_are_the_pipelines(game):
 
 @pytest.mark.device
 def test_story(game):
-    program = RunningProgram("game", 0)
+    program = RunningProgram(NAME, 0)
     game.while_running(lambda: see(program, "final"))  # a program that generates frames is asked of these
     told = game.while_running(lambda: program.inspect(50, 50, None, lambda: None))
     assert told.pixel == (50, 50) and told.story.sentences[0].startswith("Shown by its own fragment")
@@ -313,7 +241,7 @@ def test_story(game):
 
 @pytest.mark.device
 def test_options_are_switched_in_the_program(game):
-    program = RunningProgram("game", 0)
+    program = RunningProgram(NAME, 0)
 
     def dynamic():
         """Whether anything is dynamic in the next generated frame: the first look may come at a rendered one."""
@@ -336,7 +264,7 @@ def test_options_are_switched_in_the_program(game):
 @pytest.mark.device
 def test_recorded_frames(game, tmp_path):
     """The last ones, as they were; their copy is not touched by what the program does next."""
-    program = RunningProgram("game", 5)
+    program = RunningProgram(NAME, 5)
     until(lambda: game.attachment.watched, "the program to notice")
     submitted = {}
     for _ in range(9):
@@ -376,7 +304,7 @@ def open_descriptors():
 
 
 @pytest.mark.device
-def test_bad_messages_end_one_viewer_only(game, sockets, tmp_path):
+def test_bad_messages_end_one_viewer_only(game, tmp_path):
     hello = f"gffe-cl attach {channel.own_version()}\n".encode()
     greeting, look = encoded(wire.Greeting(3)), encoded(wire.Look(frozenset({"final"})))
     bad = (
@@ -400,7 +328,7 @@ def test_bad_messages_end_one_viewer_only(game, sockets, tmp_path):
     before = open_descriptors()
     for packets in bad:
         with socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET) as viewer:
-            viewer.connect(str(sockets / "game.socket"))
+            viewer.connect(channel.address_of(NAME))
             viewer.settimeout(PATIENCE)
             with suppress(BrokenPipeError, ConnectionResetError):
                 for packet in packets:
@@ -410,15 +338,15 @@ def test_bad_messages_end_one_viewer_only(game, sockets, tmp_path):
         game.step()
     assert not (tmp_path / "executed").exists()
     until(lambda: open_descriptors() <= before, "descriptors to be closed")
-    program = RunningProgram("game", 3)
+    program = RunningProgram(NAME, 3)
     assert game.while_running(lambda: see(program, "final"))[1]["final"].any()
     program.close()
 
 
 @pytest.mark.device
-def test_forked_children_leave_the_channel_alone(game, sockets):
+def test_forked_children_leave_the_channel_alone(game):
     """They neither close it nor keep it open."""
-    program = RunningProgram("game", 3)
+    program = RunningProgram(NAME, 3)
     until(lambda: game.attachment.watched)
     sent = list(channel._sockets)
     assert len(sent) >= 3  # the listener's, and both ends of the channel
@@ -428,7 +356,7 @@ def test_forked_children_leave_the_channel_alone(game, sockets):
         game.attachment.close()
         os._exit(held)
     assert os.waitpid(child, 0)[1] == 0
-    assert [path.name for path in sockets.iterdir()] == ["game.socket"] and game.attachment.watched
+    assert attached() == [NAME] and game.attachment.watched
     assert game.while_running(lambda: see(program, "final"))[1]["final"].any()
     program.close()
 
@@ -436,7 +364,7 @@ def test_forked_children_leave_the_channel_alone(game, sockets):
 @pytest.mark.device
 def test_viewer_that_does_not_read_is_sent_away(game):
     """The program waits for nobody."""
-    program = RunningProgram("game", 3)
+    program = RunningProgram(NAME, 3)
     until(lambda: game.attachment.watched)
     viewer = game.attachment._watcher.viewer
     for _ in range(3):
@@ -450,12 +378,12 @@ def test_viewer_that_does_not_read_is_sent_away(game):
 
 @pytest.mark.device
 def test_faults_of_looking_are_not_the_programs(game, monkeypatch):
-    program = RunningProgram("game", 3)
+    program = RunningProgram(NAME, 3)
     until(lambda: game.attachment.watched)
     monkeypatch.setattr(client, "device_layers", lambda *_: 1 / 0)
 
     def refused():
-        with pytest.raises(gffe.GffeError, match="the program 'game' has ended"):
+        with pytest.raises(gffe.GffeError, match=f"the program '{NAME}' has ended"):
             see(program, "final")
         return True
 
@@ -464,17 +392,17 @@ def test_faults_of_looking_are_not_the_programs(game, monkeypatch):
 
 
 @pytest.mark.device
-def test_attachment_ends(device, sockets):
+def test_attachment_ends(device):
     pipeline = gffe.Pipeline(device, W, H, gffe.Options(shading_correction=False))
-    with gffe.attach(pipeline, "game") as attachment:
-        assert attachment.name == "game" and not attachment.watched
+    with gffe.attach(pipeline, NAME) as attachment:
+        assert attachment.name == NAME and not attachment.watched
         with pytest.raises(gffe.GffeError, match="attached already"):
             gffe.attach(pipeline, "other")
-    assert pipeline.watcher is None and list(sockets.iterdir()) == []
+    assert pipeline.watcher is None and attached() == []
     attachment.close()
-    again = gffe.attach(pipeline, "game")
+    again = gffe.attach(pipeline, NAME)
     del pipeline  # its attachment ends with it
-    until(lambda: not list(sockets.iterdir()), "the socket to go")
+    until(lambda: not attached(), "the socket to go")
     again.close()
     with pytest.raises(gffe.GffeError, match="attach: pipeline must be a Pipeline"):
         gffe.attach(None)
@@ -487,7 +415,7 @@ def test_attachment_ends(device, sockets):
 def program(tmp_path):
     """A program of its own, and the file that it writes into."""
     log = tmp_path / "log.txt"
-    child = subprocess.Popen([sys.executable, str(PROGRAM), "game", str(log)], stderr=subprocess.PIPE, text=True)
+    child = subprocess.Popen([sys.executable, str(PROGRAM), NAME, str(log)], stderr=subprocess.PIPE, text=True)
     child.log = log
     until(lambda: child.poll() is not None or (log.exists() and len(log.read_text().splitlines()) > 3), "its frames")
     assert child.poll() is None, child.stderr.read()
@@ -501,7 +429,7 @@ class Looking:
 
     def __init__(self):
         self.model = Model(Settings(), save_settings=False)
-        self.model.attach("game", 6)
+        self.model.attach(NAME, 6)
         self.until(lambda: self.model.contents.result is not None)
 
     def until(self, happens):
@@ -555,8 +483,8 @@ def test_viewer_follows_switches_and_freezes(device, program, looking, tmp_path,
     monkeypatch.chdir(tmp_path)
     model.saving.start(lambda subject: RecordingWork(subject, model.recording))
     looking.until(lambda: model.saving.work is None)
-    assert (tmp_path / "game_recorded" / "sequence.json").exists()
-    code, said, _ = gffe("check", "game_recorded")
+    assert (tmp_path / f"{NAME}_recorded" / "sequence.json").exists()
+    code, said, _ = gffe("check", f"{NAME}_recorded")
     assert code == 0 and "rendered frames, 160×96" in said
     model.follow()
     looking.until(lambda: model.follows and model.contents.result is not None)
@@ -564,7 +492,7 @@ def test_viewer_follows_switches_and_freezes(device, program, looking, tmp_path,
 
 
 @pytest.mark.device
-def test_program_is_killed(device, program, looking, sockets):
+def test_program_is_killed(device, program, looking):
     """The viewer goes on with the last frames, and nothing is left."""
     model = looking.model
     looking.until(lambda: len(model.program.recording().rendered) >= 4)
@@ -574,13 +502,13 @@ def test_program_is_killed(device, program, looking, sockets):
     assert model.source.count >= 4 and "has ended" in model.messages[-1].text and "L follows" in model.states[0]
     assert left_behind() == []
     assert channel.Listener("another", "stem").close() is None  # whoever comes next cleans up
-    assert list(sockets.iterdir()) == []
+    assert attached() == []
     source = model.source
     model.follow()
-    looking.until(lambda: "no program is attached as 'game'" in model.messages[-1].text)
-    again = subprocess.Popen([sys.executable, str(PROGRAM), "game", str(program.log)])
+    looking.until(lambda: f"no program is attached as '{NAME}'" in model.messages[-1].text)
+    again = subprocess.Popen([sys.executable, str(PROGRAM), NAME, str(program.log)])
     try:
-        until(lambda: list(sockets.iterdir()), "the next program")
+        until(attached, "the next program")
         model.update(time.perf_counter(), None)
         assert model.source is source and not model.busy, "the last frames are kept"
         model.follow()
@@ -596,10 +524,10 @@ def test_program_that_answers_late(device, program, tmp_path):
     model = Model(Settings(), save_settings=False)
     os.kill(program.pid, signal.SIGSTOP)
     try:
-        with pytest.raises(gffe.GffeError, match="game: no answer"):
-            RunningProgram("game")
+        with pytest.raises(gffe.GffeError, match=f"{NAME}: no answer"):
+            RunningProgram(NAME)
         start = time.monotonic()
-        model.attach_to(" game ")
+        model.attach_to(f" {NAME} ")
         job = model._attaching
         assert time.monotonic() - start < 2 and model.busy and not model.messages
         until(job.running)
@@ -615,10 +543,10 @@ def test_program_that_answers_late(device, program, tmp_path):
 
 
 @pytest.mark.device
-def test_viewer_is_killed(device, program, sockets):
+def test_viewer_is_killed(device, program):
     """The program goes on, and the next viewer can look."""
     look = (
-        "import sys; from gffe_cl.viewer.engine.sources.program import RunningProgram; p = RunningProgram('game')\n"
+        f"from gffe_cl.viewer.engine.sources.program import RunningProgram; p = RunningProgram({NAME!r})\n"
         "while True: p.see(frozenset({'final'}), False, lambda: None); print('seen', flush=True)"
     )
     viewer = subprocess.Popen([sys.executable, "-c", look], stdout=subprocess.PIPE, text=True)
@@ -628,8 +556,8 @@ def test_viewer_is_killed(device, program, sockets):
     viewer.wait()
     count = len(program.log.read_text().splitlines())
     until(lambda: len(program.log.read_text().splitlines()) > count + 5, "frames after the viewer's death")
-    assert left_behind() == [] and [path.name for path in sockets.iterdir()] == ["game.socket"]
-    again = RunningProgram("game", 3)
+    assert left_behind() == [] and attached() == [NAME]
+    again = RunningProgram(NAME, 3)
     assert see(again, "final")[1]["final"].any()
     again.close()
     assert program.poll() is None

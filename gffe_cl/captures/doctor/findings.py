@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from dataclasses import dataclass, field
 
+from gffe_cl.captures.doctor.hypotheses.camera_jitter import OTHERS
 from gffe_cl.engine.core.errors import printable
 
 FAULT, WARNING, NOTE, UNKNOWN = "fault", "warning", "note", "cannot tell"
@@ -54,13 +55,7 @@ def finding_id(about: str, name: str) -> str:
     return f"{about} {name}".lower().replace(" ", "-")
 
 
-_CHANGES_OF_JITTER = (
-    "of the opposite sign",
-    "of the opposite sign in x",
-    "of the opposite sign in y",
-    "twice as large",
-    "half as large",
-)
+_CHANGES_OF_JITTER = [change for change in OTHERS.values() if change != "absent"]
 _LATE = "one frame late: each frame has that of the frame before it"
 _EARLY = "one frame early: each frame has that of the frame after it"
 _AFTER = "is taken from the frame after; the last frame, whose own one was not recorded, is left out"

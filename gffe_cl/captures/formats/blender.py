@@ -14,18 +14,24 @@ from gffe_cl.captures.formats.capture import (
     read_json,
     shown_part,
     through_window,
-    whole_number,
 )
 from gffe_cl.captures.formats.layers import Place, holding, layers_of, owner
 from gffe_cl.captures.formats.numbering import mark_gaps
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
-from gffe_cl.captures.sequence.exr import decoded, require_parts, view_note
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, HeaderReader, read_header
+from gffe_cl.captures.sequence.exr import decoded, require_parts
+from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
 from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import require_exposure, require_number, require_positive, shown
+from gffe_cl.engine.core.validation import (
+    MOST_SIDE,
+    require_exposure,
+    require_number,
+    require_positive,
+    require_whole,
+    shown,
+)
 
 FILE_NAME = "cameras.json"
 KINDS = ("rendered", "ground_truth", "camera_only")
@@ -50,12 +56,12 @@ def open_blender(folder: Path) -> Sequence:
     """Open the capture in `folder` and return it: JSON and the headers of all files are checked. Raises GffeError."""
     description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
-    reader, headers, remarks = HeaderReader(), [], Remarks(description.fps)
+    pixels, remarks = BlenderPixels(folder), Remarks(description.fps)
     for entry in description.frames:
-        header = reader.read(folder / entry.place, entry.file)
+        header = read_header(folder / entry.place, entry.file)
         passes = _passes(header, entry)
         if entry.kind == "rendered":
-            headers[1:] = [(header, passes, entry.file)]
+            pixels.attributes = pixels.attributes or carried(header.parts[passes.color[0][0]])
             exact = [place for places in (passes.depth, passes.vector) for place in places or ()]
             remarks.add(header, entry.file, exact)
         parts = {part for places in filter(None, passes) for part, _ in places}
@@ -66,12 +72,8 @@ def open_blender(folder: Path) -> Sequence:
         through_window(entry, header.parts[passes.color[0][0]], size, entry.file)
         if entry.kind != "rendered":
             entry.render_size = None
-    pixels = BlenderPixels(folder)
     pixels.notes += [f"{folder}: {gaps}"] if gaps else []
-    if headers:
-        (first, color, _), (last, _, file) = headers[0], headers[-1]
-        pixels.notes += view_note(last, file) + remarks.sentences
-        pixels.attributes = carried(first, color.color[0][0], last)
+    pixels.notes += remarks.sentences
     return Sequence(folder, description, pixels)
 
 
@@ -115,8 +117,8 @@ class BlenderPixels(ForeignPixels):
 def _parse(document: dict) -> tuple[Description, str | None]:
     """Return the description, and a sentence about frames that are missing."""
     size = (
-        whole_number(document.get("width"), f"{FILE_NAME}: width"),
-        whole_number(document.get("height"), f"{FILE_NAME}: height"),
+        require_whole(document.get("width"), f"{FILE_NAME}: width", 1, MOST_SIDE),
+        require_whole(document.get("height"), f"{FILE_NAME}: height", 1, MOST_SIDE),
     )
     given = document.get("frames")
     if not isinstance(given, list) or not 0 < len(given) <= MOST_FRAMES:

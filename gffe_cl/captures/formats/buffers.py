@@ -49,7 +49,6 @@ class Buffer:
     valid: str | None = None  # a channel that is 0 where nothing was written
     unknown: tuple[float, ...] | None = None  # what stands in place of values that were never written
     unknown_from: float | None = None  # values of that magnitude or more are none
-    view: str | None = None  # of EXR files with several; None: the one with most channels
 
     def file(self, number: int) -> str:
         return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
@@ -61,7 +60,7 @@ class Buffer:
     def check(self, folder: Path, number: int, size: Size) -> tuple[ExrHeader, list[Place]] | None:
         """Check the file by its headers, and return that of an EXR file with the places of the channels. Raises
         GffeError if it cannot be read."""
-        return check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
+        return check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
 
     @property
     def _planes(self) -> tuple[str, ...]:
@@ -70,7 +69,7 @@ class Buffer:
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
         """Return (H, W, components) float64, or float16 and float32 where the file stores these unchanged; NaN where
         nothing was written."""
-        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array, self.view)
+        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
         if self.bottom_up:
             planes = planes[::-1]
         unwritten = None

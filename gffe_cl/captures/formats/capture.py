@@ -6,7 +6,6 @@ import json
 from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -18,7 +17,6 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.conventions import rigid, square
 
 MOST_JSON = 64 << 20
-MOST_SIDE = 1 << 16
 MOST_FRAMES = 1 << 17
 
 
@@ -32,13 +30,6 @@ def read_json(path: Path) -> dict:
     if not isinstance(document, dict):
         raise GffeError(f"{path.name}: expected a JSON object, got {shown(document)}")
     return document
-
-
-def whole_number(value: Any, what: str, most: int = MOST_SIDE) -> int:
-    """Return `value` if it is a whole number from 1 to `most`. Raises GffeError, beginning with `what`, otherwise."""
-    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= most:
-        return value
-    raise GffeError(f"{what} must be a whole number from 1 to {most}, got {shown(value)}")
 
 
 def described(
@@ -89,10 +80,9 @@ def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], labe
     """Set the render size and camera of a rendered frame whose stored image (data window) differs from the displayed
     one (display window); its display camera is in displayed pixels. Raises GffeError unless the displayed image has
     `size`."""
-    x0, y0, x1, y1 = part.display_window
-    if (x1 - x0 + 1, y1 - y0 + 1) != tuple(size):
-        raise GffeError(f"{label}: {x1 - x0 + 1}×{y1 - y0 + 1} pixels, expected {size[0]}×{size[1]}")
-    left, top = part.data_window[0] - x0, part.data_window[1] - y0
+    (width, height), (left, top) = part.shown_size, part.offset
+    if (width, height) != tuple(size):
+        raise GffeError(f"{label}: {width}×{height} pixels, expected {size[0]}×{size[1]}")
     if part.size == tuple(size) and not (left or top):
         return
     entry.render_size = part.size
@@ -105,9 +95,7 @@ def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], labe
 def shown_part(image: np.ndarray, part: ExrPart, label: str) -> np.ndarray:
     """Return the part of an image (H, W, …), stored in the data window of `part`, in its display window. Raises
     GffeError if some of that was not stored."""
-    x0, y0, x1, y1 = part.display_window
-    left, top = x0 - part.data_window[0], y0 - part.data_window[1]
-    width, height = x1 - x0 + 1, y1 - y0 + 1
+    (width, height), (left, top) = part.shown_size, (-n for n in part.offset)
     if left < 0 or top < 0 or left + width > part.size[0] or top + height > part.size[1]:
         raise GffeError(f"{label}: the data window is smaller than the display window (expected all that is shown)")
     return image[top : top + height, left : left + width]

@@ -24,8 +24,8 @@ from gffe_cl.captures.formats.buffers import (
     parse_motion,
 )
 from gffe_cl.captures.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
-from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json, whole_number
-from gffe_cl.captures.formats.images import Size, header_attributes, views_of
+from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json
+from gffe_cl.captures.formats.images import Size, header_attributes
 from gffe_cl.captures.formats.json_schema import Keys
 from gffe_cl.captures.formats.motion_conversion import inverted_flow
 from gffe_cl.captures.formats.numbering import mark_gaps
@@ -36,13 +36,18 @@ from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import open_regular
-from gffe_cl.engine.core.validation import require_exposure, require_number, require_positive, shown
+from gffe_cl.engine.core.validation import (
+    MOST_SIDE,
+    require_exposure,
+    require_number,
+    require_positive,
+    require_whole,
+)
 from gffe_cl.engine.frame.conventions import refuse_oblique
 
 FORMAT, VERSION = "gffe-folder", 1
-_MOST_NUMBER = 10**9
+_NUMBERS = -(10**9), 10**9  # of frames
 _FIRST_BYTES = 1 << 16
-_BUFFERS = ("color", "depth", "motion")
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +71,6 @@ class FolderSettings:
     motion: MotionBuffer
     cameras: CameraRules
     frames: dict[str, _Frame]  # by the entry's name
-    view: str | None = None  # of files with several
     gaps: str | None = None  # a sentence about numbers that are missing
 
     @property
@@ -87,7 +91,7 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     """Open the capture in `folder` and return it: the JSON and the headers of all images are checked. With `cameras`
     "optional" none need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
-    notes = _settle_view(folder, made) + _settle_colors(folder, made)
+    notes = _settle_colors(folder, made)
     remarks = Remarks(description.fps)
 
     def check(buffer: Buffer, frame: _Frame, is_exact: bool) -> None:
@@ -105,7 +109,9 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
             check(made.motion.buffer, frame.before if made.motion.to_next else frame, True)
     pixels = FolderPixels(folder, made)
     pixels.notes += notes + remarks.sentences
-    pixels.attributes = _attributes(folder, made)
+    if rendered := [frame for frame in made.frames.values() if frame.entry.kind == "rendered"]:
+        color = made.color.buffer
+        pixels.attributes = header_attributes(color.path(folder, rendered[0].number), color.channels)
     return Sequence(folder, description, pixels)
 
 
@@ -125,47 +131,6 @@ def _settle_colors(folder: Path, made: FolderSettings) -> list[str]:
         elif found.profile or (one.told and found.contradicts(one.encoding, one.gamma)):
             notes.append(f"{file}: the header says {found.words}; colors are read as {one.encoding}, as described")
     return notes
-
-
-def _first(made: FolderSettings) -> list[_Frame]:
-    """Return a rendered frame with motion, if there is one, and the last rendered frame."""
-    rendered = [one for one in made.frames.values() if one.entry.kind == "rendered"]
-    return [next((one for one in rendered if one.before), rendered[0]), rendered[-1]] if rendered else []
-
-
-def _attributes(folder: Path, made: FolderSettings) -> dict[str, Any]:
-    """Return attributes of the colors' headers that new frames get as well."""
-    frames, buffer = _first(made), made.color.buffer
-    if not frames:
-        return {}
-    first, last = (buffer.path(folder, frame.number) for frame in frames)
-    return header_attributes(first, last, buffer.channels, buffer.view)
-
-
-def _settle_view(folder: Path, made: FolderSettings) -> list[str]:
-    """Take all buffers from one view of a stereo camera, "view" of the JSON or that of the files with fewest of them.
-    Return a sentence that names it. Raises GffeError if the files have none in common."""
-    frame = next((one for one in made.frames.values() if one.before), None) or next(iter(made.frames.values()))
-    held = {}
-    for name in _BUFFERS:
-        buffer = getattr(made, name).buffer
-        if views := views_of(buffer.path(folder, frame.number), buffer.file(frame.number)):
-            held[name] = views
-    if not held:
-        if made.view:
-            raise GffeError(f"{FILE_NAME}, view: the files hold no views, got {shown(made.view)}")
-        return []
-    common = [view for view in min(held.values(), key=len) if all(view in views for views in held.values())]
-    if made.view in common or (common and not made.view):
-        chosen = made.view or common[0]
-    else:
-        listed = "; ".join(f"{name} of {', '.join(views)}" for name, views in held.items())
-        raise GffeError(f"{FILE_NAME}: no view {made.view or 'is that'} of all buffers (the files hold {listed})")
-    for name in (*_BUFFERS, "truth"):
-        one = getattr(made, name)
-        setattr(made, name, replace(one, buffer=replace(one.buffer, view=chosen)))
-    several = sorted({view for views in held.values() for view in views})
-    return [f"{folder}: the files hold the views {', '.join(several)}; {chosen} is used"] if len(several) > 1 else []
 
 
 class FolderPixels(ForeignPixels):
@@ -214,8 +179,8 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSe
     if keys.take("version", VERSION) != VERSION:
         raise GffeError(f"{FILE_NAME}: unknown version (expected {VERSION})")
     size = (
-        whole_number(keys.take("width"), f"{FILE_NAME}: width"),
-        whole_number(keys.take("height"), f"{FILE_NAME}: height"),
+        require_whole(keys.take("width"), f"{FILE_NAME}: width", 1, MOST_SIDE),
+        require_whole(keys.take("height"), f"{FILE_NAME}: height", 1, MOST_SIDE),
     )
     fps = keys.take("fps")
     fps = None if fps is None else require_positive(fps, f"{FILE_NAME}: fps")
@@ -232,7 +197,6 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSe
         parse_motion(keys.take("motion")),
         rules,
         {},
-        keys.text("view"),
     )
     frames = list(_frames(keys.take("frames"), fps))
     keys.done()
@@ -296,9 +260,9 @@ def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, An
         keys.done()
         if fps is None:
             raise GffeError(f"{FILE_NAME}: frames without times need fps")
-        whole_number(count, f"{FILE_NAME}, frames, count", MOST_FRAMES)
-        first = _number(first, f"{FILE_NAME}, frames, first")
-        step = whole_number(step, f"{FILE_NAME}, frames, step", _MOST_NUMBER)
+        require_whole(count, f"{FILE_NAME}, frames, count", 1, MOST_FRAMES)
+        first = require_whole(first, f"{FILE_NAME}, frames, first", *_NUMBERS)
+        step = require_whole(step, f"{FILE_NAME}, frames, step", 1, _NUMBERS[1])
         given = [{"number": first + k * step, "time": k / fps} for k in range(count)]
     if not isinstance(given, list) or not 0 < len(given) <= MOST_FRAMES:
         raise GffeError(
@@ -310,16 +274,10 @@ def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, An
 
 def _frame(given: Any, index: int) -> tuple[int, FrameEntry, Any]:
     keys = Keys(given, f"{FILE_NAME}, frames[{index}]")
-    number = _number(keys.take("number"), f"{keys.label}, number")
+    number = require_whole(keys.take("number"), f"{keys.label}, number", *_NUMBERS)
     kind = keys.choice("kind", ("rendered", "ground_truth"), "rendered")
     time = require_number(keys.take("time"), f"{keys.label}, time")
     entry = FrameEntry(f"{'frame' if kind == 'rendered' else 'truth'}_{number:06d}.exr", time, kind, keys.flag("reset"))
     camera = keys.take("camera")
     keys.done()
     return number, entry, camera
-
-
-def _number(value: Any, what: str) -> int:
-    if isinstance(value, int) and not isinstance(value, bool) and abs(value) <= _MOST_NUMBER:
-        return value
-    raise GffeError(f"{what} must be a whole number from {-_MOST_NUMBER} to {_MOST_NUMBER}, got {shown(value)}")

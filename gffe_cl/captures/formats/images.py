@@ -27,57 +27,42 @@ _RGBA = {"R": 0, "G": 1, "B": 2, "A": 3}
 _MOST_HEADER = 1 << 16
 
 
-def read_planes(
-    path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None, view: str | None = None
-) -> np.ndarray:
+def read_planes(path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None) -> np.ndarray:
     """Return the channels `names` of the image at `path` as (H, W, C), in the type stored; `array` is the one of an NPZ
-    file, `view` that of an EXR file with several.
+    file.
 
     Channels of PNG are R, G, B, A (gray is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first four.
     Raises a GffeError that begins with `label` for a missing file or channel, another size than `size`, and damage.
     """
-    return _read(path, names, label, size, array, view, decode=True)
+    return _read(path, names, label, size, array, decode=True)
 
 
 def check_planes(
-    path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None, view: str | None = None
+    path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None
 ) -> tuple[ExrHeader, list[Place]] | None:
     """Check an image as `read_planes` does, by headers only: no pixel is decoded. Return the header of an EXR file and
     the places of the channels in it; None for other files."""
-    return _read(path, names, label, size, array, view, decode=False)
+    return _read(path, names, label, size, array, decode=False)
 
 
-def views_of(path: Path, label: str) -> list[str]:
-    """Return the views of an EXR file, those with most channels first; nothing of files of other kinds or without."""
-    header = _exr_header(path, label)
-    return header.views if header else []
+def header_attributes(path: Path, names: Ordered[str]) -> dict[str, Any]:
+    """Return attributes of the color channels `names` in a file that new frames get as well; also the primaries of PNG
+    files."""
+    with open_regular(path) as file:
+        is_exr = file.read(8).startswith(_EXR_MAGIC)
+    if is_exr:
+        header = read_header(path, path.name)
+        return carried(header.parts[_places(header, names, path.name)[0][0]])
+    primaries = read_png_colors(path).chromaticities
+    return {"chromaticities": primaries} if primaries else {}
 
 
-def header_attributes(first: Path, last: Path, names: Ordered[str], view: str | None) -> dict[str, Any]:
-    """Return attributes of the color channels `names` in the files of the first and the last frame that new frames get
-    as well; also the primaries of PNG files."""
-    header, later = _exr_header(first, first.name), _exr_header(last, last.name)
-    if header is None or later is None:
-        primaries = read_png_colors(first).chromaticities
-        return {"chromaticities": primaries} if primaries else {}
-    return carried(header, _places(header, names, first.name, view)[0][0], later, view)
-
-
-def _exr_header(path: Path, label: str) -> ExrHeader | None:
-    try:
-        with open_regular(path) as file:
-            is_exr = file.read(8).startswith(_EXR_MAGIC)
-    except OSError:
-        return None
-    return read_header(path, label) if is_exr else None
-
-
-def _read(path, names, label, size, array, view, decode) -> Any:
+def _read(path, names, label, size, array, decode) -> Any:
     try:
         with open_regular(path) as file:
             start = file.read(8)
         if start.startswith(_EXR_MAGIC):
-            return _exr(path, names, label, size, view, decode)
+            return _exr(path, names, label, size, decode)
         if start == PNG_MAGIC:
             return _png(path, names, label, size, decode)
         if start.startswith(_NPY_MAGIC):
@@ -91,20 +76,20 @@ def _read(path, names, label, size, array, view, decode) -> Any:
     raise GffeError(f"{label}: not an EXR, PNG, NPY or NPZ file")
 
 
-def _exr(path, names, label, size, view, decode):
+def _exr(path, names, label, size, decode):
     header = read_header(path, label)
-    places = _places(header, names, label, view)
+    places = _places(header, names, label)
     require_parts(header, {part for part, _ in places}, size, label)
     return np.stack(decoded(path, header, places, label), -1) if decode else (header, places)
 
 
-def _places(header: ExrHeader, names, label, view) -> list[Place]:
+def _places(header: ExrHeader, names, label) -> list[Place]:
     """Return the places of channels, given by their whole name, or by `part.name`; in files with a single channel that
     one."""
-    layers, places = layers_of(header, view), []
+    layers, places = layers_of(header), []
     for name in names:
         layer, _, component = name.rpartition(".")
-        place = (layers.get(layer, {}).get(component) if layer else None) or place_of(header, name, label, view)
+        place = (layers.get(layer, {}).get(component) if layer else None) or place_of(header, name, label)
         if place is None and len(header.channels) == 1:
             place = (0, header.channels[0])
         if place is None:

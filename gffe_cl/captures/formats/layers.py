@@ -10,18 +10,15 @@ from gffe_cl.captures.sequence.exr_layout import ExrHeader
 Place = tuple[int, str]  # part, channel in it
 
 
-def layers_of(header: ExrHeader, view: str | None = None) -> dict[str, dict[str, Place]]:
+def layers_of(header: ExrHeader) -> dict[str, dict[str, Place]]:
     """Return a map of layer (all but the last word, "" for plain channels) → component → place, in the order of the
-    file. Of several views one is taken, by default the first of `header.views`."""
+    file."""
     found: dict[str, dict[str, Place]] = defaultdict(dict)
-    chosen = view or next(iter(header.views), "")
-    for index, channel, name in header.seen(view):
-        part = header.parts[index].name
-        if chosen and part.endswith(chosen):  # RenderLayer.Combined.left
-            part = part.removesuffix(chosen).rstrip("._- ")
-        whole = len(header.parts) == 1 or not part or name.startswith(f"{part}.")
-        layer, _, component = (name if whole else f"{part}.{name}").rpartition(".")
-        found[layer].setdefault(component, (index, channel))
+    for index, part in enumerate(header.parts):
+        for channel in part.channels:
+            whole = len(header.parts) == 1 or not part.name or channel.startswith(f"{part.name}.")
+            layer, _, component = (channel if whole else f"{part.name}.{channel}").rpartition(".")
+            found[layer].setdefault(component, (index, channel))
     return dict(found)
 
 

@@ -7,7 +7,7 @@ depth is planar or along the rays. Reprojecting static surfaces decides.
 from __future__ import annotations
 
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -16,8 +16,8 @@ from gffe_cl.captures.formats.layers import Place, layers_of
 from gffe_cl.captures.formats.motion_conversion import static_motion
 from gffe_cl.captures.formats.numbering import missing_numbers, number_of, visible_files
 from gffe_cl.captures.sequence.description import FrameEntry
-from gffe_cl.captures.sequence.exr import decoded, require_parts, view_note
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, HeaderReader, read_header
+from gffe_cl.captures.sequence.exr import decoded, require_parts
+from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, read_header
 from gffe_cl.captures.sequence.header_attributes import Remarks, carried, frame_rate
 from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
@@ -51,36 +51,31 @@ def is_unreal(folder: Path) -> bool:
         header = read_header(files[0], files[0].name)
     except GffeError:
         return False
-    return any(name.startswith("unreal/") for part in header.parts for name in part.texts)
+    return any(name.startswith("unreal/") for part in header.parts for name in part.attributes)
 
 
 def open_unreal(folder: Path) -> Sequence:
     """Open the frames in `folder` and return them as a sequence. The headers of all files are checked, and a few frames
     are read to determine the meaning of motion and depth. Raises GffeError."""
-    numbered, reader, entries = _numbered(folder), HeaderReader(), []
-    headers, remarks = [], Remarks()
+    numbered, entries, pixels, remarks = _numbered(folder), [], UnrealPixels(folder), Remarks()
     size = fps = before = None
     for number, file in numbered:
-        header = reader.read(folder / file, file)
+        header = read_header(folder / file, file)
         places = _places(header, file)
-        headers[1:] = [(header, places, file)]
         remarks.add(header, file, places[3:])
         require_parts(header, {part for part, _ in places}, None, file)
         part = header.parts[places[0][0]]
         if size is None:
-            x0, y0, x1, y1 = part.display_window
-            size, fps = (x1 - x0 + 1, y1 - y0 + 1), _frame_rate(part)
+            size, fps = part.shown_size, _frame_rate(part)
+            pixels.attributes = carried(part)
         time = (number - numbered[0][0]) / (fps or _FPS)
         entry = FrameEntry(file, time, reset=before is None or number != before + 1)
-        entry.render_camera = entry.display_camera = _camera(part.texts, size, file)
+        entry.render_camera = entry.display_camera = _camera(part.attributes, size, file)
         through_window(entry, part, size, file)
         entries.append(entry)
         before = number
     assert size is not None  # of the first frame
-    pixels = UnrealPixels(folder)
-    (first, color, _), (last, _, file) = headers[0], headers[-1]
-    pixels.notes += view_note(last, file) + remarks.sentences
-    pixels.attributes = carried(first, color[0][0], last)
+    pixels.notes += remarks.sentences
     if fps is None:
         pixels.notes.append(f"{folder}: no frame rate in the headers, {_FPS:g} frames per second are assumed")
     if missing := missing_numbers((a, b) for (a, _), (b, _) in zip(numbered, numbered[1:], strict=False)):
@@ -199,25 +194,25 @@ def _picture(name: str) -> bool:
     return name == "" or (name.startswith("finalimage") and ("beauty" in name or "movierenderqueue" not in name))
 
 
-def _camera(texts: dict[str, str], size: tuple[int, int], file: str) -> Camera:
-    location = [_number(texts, f"curPos/{axis}", file) for axis in "xyz"]
-    rotation = [_number(texts, f"curRot/{angle}", file) for angle in ("pitch", "yaw", "roll")]
+def _camera(attributes: dict[str, Any], size: tuple[int, int], file: str) -> Camera:
+    location = [_number(attributes, f"curPos/{axis}", file) for axis in "xyz"]
+    rotation = [_number(attributes, f"curRot/{angle}", file) for angle in ("pitch", "yaw", "roll")]
     try:
-        return Camera.from_unreal_pose(location, rotation, _number(texts, "fov", file), size)
+        return Camera.from_unreal_pose(location, rotation, _number(attributes, "fov", file), size)
     except GffeError as error:
         raise GffeError(f"{file}: {error}") from None
 
 
-def _number(texts: dict[str, str], name: str, file: str) -> float:
+def _number(attributes: dict[str, Any], name: str, file: str) -> float:
     """Return the camera's number `name` from any layer: all layers of a file have the same."""
-    for key, text in texts.items():
+    for key, given in attributes.items():
         if key.startswith((_CAMERA, _LAYER_DATA)) and key.endswith(f"/{name}"):
             try:
-                value = float(text)
-            except ValueError:
+                value = float(given)
+            except (TypeError, ValueError):
                 value = np.nan
             if not np.isfinite(value):
-                raise GffeError(f"{file}: {key} must be a finite number, got '{text[:40]}'")
+                raise GffeError(f"{file}: {key} must be a finite number, got '{str(given)[:40]}'")
             return value
     raise GffeError(f"{file}: no {_CAMERA}…{name} in the header (expected the metadata of Movie Render Queue)")
 

@@ -26,6 +26,7 @@ from gffe_cl.engine.core.validation import (
     require_number,
     require_positive,
     require_size,
+    require_whole,
     shown,
 )
 from gffe_cl.engine.frame.camera import Camera
@@ -135,8 +136,8 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
     if version not in VERSIONS or isinstance(version, bool):
         raise GffeError(f"{name}: unknown version {shown(version)} (expected {' or '.join(map(str, VERSIONS))})")
     description = Description(
-        _whole(document.get("width"), name, "width"),
-        _whole(document.get("height"), name, "height"),
+        require_whole(document.get("width"), f"{name}: width", 1, MOST_SIDE),
+        require_whole(document.get("height"), f"{name}: height", 1, MOST_SIDE),
         require_positive(document.get("fps"), f"{name}: fps"),
         require_exposure(document.get("exposure", 1.0), f"{name}: exposure"),
         [],
@@ -387,19 +388,14 @@ def _parse_camera(document, label) -> Camera:
 def _parse_size(value, label, what="render_size") -> tuple[int, int]:
     if not isinstance(value, list) or len(value) != 2:
         raise GffeError(f"{label}: {what} must be [width, height], got {shown(value)}")
-    return _whole(value[0], label, what), _whole(value[1], label, what)
+    width, height = (require_whole(side, f"{label}: {what}", 1, MOST_SIDE) for side in value)
+    return width, height
 
 
 def _true_or_false(value, what) -> bool:
     if isinstance(value, bool):
         return value
     raise GffeError(f"{what} must be true or false, got {shown(value)}")
-
-
-def _whole(value, label, what) -> int:
-    if isinstance(value, int) and not isinstance(value, bool) and 1 <= value <= MOST_SIDE:
-        return value
-    raise GffeError(f"{label}: {what} must be whole pixels, 1 to {MOST_SIDE}, got {shown(value)}")
 
 
 def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:

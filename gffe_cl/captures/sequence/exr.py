@@ -45,7 +45,7 @@ def read_channels(path: Path, names, label: str, size=None) -> dict[str, np.ndar
     """
     header = read_header(path, label)
     places = require_channels(header, names, label)
-    require_size(header, names, size, label)
+    require_parts(header, {part for part, _ in places}, size, label)
     return dict(zip(names, decoded(path, header, places, label), strict=True))
 
 
@@ -73,10 +73,10 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
         raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
 
 
-def place_of(header: ExrHeader, name: str, label: str, view: str | None = None) -> tuple[int, str] | None:
-    """Return (part, channel) of the channel `name` in one view of a file, None if there is none. Raises GffeError if
+def place_of(header: ExrHeader, name: str, label: str) -> tuple[int, str] | None:
+    """Return (part, channel) of the channel `name`, None if there is none. Raises GffeError if
     several parts have one."""
-    places = header.candidates(name, view)
+    places = header.candidates(name)
     if len(places) > 1:
         parts = [header.parts[index].name or f"number {index}" for index, _ in places]
         raise GffeError(
@@ -84,13 +84,6 @@ def place_of(header: ExrHeader, name: str, label: str, view: str | None = None) 
             f" (expected part.channel, as in {_one_line(parts[-1])}.{name})"
         )
     return places[0] if places else None
-
-
-def view_note(header: ExrHeader, label: str, view: str | None = None) -> list[str]:
-    """Return a sentence about the view that is used of a file with several; nothing of others."""
-    if len(header.views) < 2:
-        return []
-    return [f"{label}: holds the views {_one_line(', '.join(sorted(header.views)))}; {view or header.views[0]} is used"]
 
 
 def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, str]]:
@@ -106,14 +99,9 @@ def require_channels(header: ExrHeader, names, label: str) -> list[tuple[int, st
     return places
 
 
-def require_size(header: ExrHeader, names, size, label: str) -> None:
-    """Raise GffeError if a part that holds one of `names` is subsampled or not `size` = (width, height)."""
-    require_parts(header, [index for index, _ in require_channels(header, names, label)], size, label)
-
-
 def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -> None:
-    """Raise GffeError unless parts, given by their numbers, have one place and the size `size`, as `require_size` does
-    for channels."""
+    """Raise GffeError unless parts, given by their numbers, have one place and the size `size` = (width, height), and
+    every pixel."""
     indices = set(indices)
     for part in header.parts:  # the library decodes all of them
         if part.compression >= int(OpenEXR.NUM_COMPRESSION_METHODS):

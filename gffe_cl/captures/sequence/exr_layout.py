@@ -9,28 +9,25 @@ from __future__ import annotations
 
 import os
 import struct
-from dataclasses import dataclass, field, replace
-from functools import cached_property
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.core.files import descriptor_of
 
 _MAGIC = b"\x76\x2f\x31\x01"
 _TILED, _NON_IMAGE, _MULTI_PART = 0x200, 0x800, 0x1000
 _FIRST_BYTES = 1 << 14
 _MAX_HEADER = 1 << 26
-_MOST_KNOWN = 4
 _MOST_CHANNELS = 4096  # of all parts
 _MOST_SIDE = 1 << 20
 _TOO_MANY = 1 << 40  # chunks: no file holds their table
 # Scan lines per chunk: no compression, RLE, ZIPS, ZIP, PIZ, PXR24, B44, B44A, DWAA, DWAB, HTJ2K256, HTJ2K32
 _CHUNK_LINES = (1, 1, 1, 16, 32, 16, 32, 32, 32, 256, 256, 32)
-_NUMBERS = {"int": "i", "float": "f", "double": "d", "rational": "iI"}
-_TUPLES = {"chromaticities": "8f", "v2f": "2f", "v3f": "3f"}
+_NUMBERS = {"int": "i", "float": "f", "double": "d"}
 _PIXEL_TYPES = ("uint32", "float16", "float32")
 
 
@@ -47,21 +44,29 @@ class ExrPart:
     tile: tuple[int, int, int] | None = None  # width, height, level mode
     subsampled: bool = False
     deep: bool = False
-    matrices: dict[str, tuple[str, bytes]] = field(default_factory=dict)  # name → type, bytes; see `matrix`
-    texts: dict[str, str] = field(default_factory=dict)  # other attributes of text and numbers, by name
-    attributes: dict[str, Any] = field(default_factory=dict)  # text, number or tuple of numbers, by name
-    views: tuple[str, ...] = ()  # of channels that name their view: the first one is that of plain channels
+    matrices: dict[str, np.ndarray] = field(default_factory=dict)  # name → (4, 4) float64, as stored
+    attributes: dict[str, Any] = field(default_factory=dict)  # others by name: text, number, tuple; "24/1"
+    views: tuple[str, ...] = ()  # that its channels are of
 
     @property
     def size(self) -> tuple[int, int]:
         """Width and height of the data window."""
-        x0, y0, x1, y1 = self.data_window
-        return x1 - x0 + 1, y1 - y0 + 1
+        return _size_of(self.data_window)
 
-    def matrix(self, name: str) -> np.ndarray:
-        """Return the matrix `name` of `matrices`, (4, 4) float64, as stored."""
-        form, data = self.matrices[name]
-        return np.frombuffer(data, "<f4" if form == "m44f" else "<f8", 16).astype(np.float64).reshape(4, 4)
+    @property
+    def shown_size(self) -> tuple[int, int]:
+        """Width and height of the display window."""
+        return _size_of(self.display_window)
+
+    @property
+    def offset(self) -> tuple[int, int]:
+        """Position of the data window in the display window, x and y."""
+        return self.data_window[0] - self.display_window[0], self.data_window[1] - self.display_window[1]
+
+
+def _size_of(window: tuple[int, int, int, int]) -> tuple[int, int]:
+    x0, y0, x1, y1 = window
+    return x1 - x0 + 1, y1 - y0 + 1
 
 
 @dataclass
@@ -69,74 +74,25 @@ class ExrHeader:
     parts: list[ExrPart]
     multi_part: bool = False
     end: int = 0  # bytes; the chunk offset table follows
-    layout: object = None  # the same object for headers that are alike but for their matrices
 
-    @cached_property
-    def chunk_tables(self) -> list[struct.Struct | None]:
-        """Chunk tables of each part; None where only the library can compute the number of chunks."""
-        counts = map(_chunk_count, self.parts)
-        return [None if n is None else struct.Struct(f"<{n if n >= 0 else _TOO_MANY}Q") for n in counts]
-
-    @cached_property
-    def views(self) -> list[str]:
-        """The views in the file, as of a stereo camera: those with most channels first, of equals in their order."""
-        if not any(part.views or "view" in part.texts for part in self.parts):
-            return []
-        counts = {view: 0 for part in self.parts for view in part.views}
-        for part in self.parts:
-            for channel in part.channels:
-                view = _view_of(part, channel)[0]
-                if view is not None:
-                    counts[view] = counts.get(view, 0) + 1
-        return sorted(filter(counts.__getitem__, counts), key=lambda view: -counts[view])
-
-    def seen(self, view: str | None = None) -> list[tuple[int, str, str]]:
-        """Return (part, channel, name without its view) of the channels of one view and of those of none. The default
-        is the first of `views`."""
-        chosen, found = view or next(iter(self.views), None), []
-        for index, part in enumerate(self.parts):
-            for channel in part.channels:
-                owner, name = _view_of(part, channel)
-                if owner in (None, chosen):
-                    found.append((index, channel, name))
-        return found
-
-    def candidates(self, channel: str, view: str | None = None) -> list[tuple[int, str]]:
-        """Return (part, name there) of all channels that are called so in one view; `part.channel` names a part's own,
-        and whole names those of other views."""
-        if not self.views:
-            found = [(index, channel) for index, part in enumerate(self.parts) if channel in part.channels]
-        else:
-            found = [(index, name) for index, name, plain in self.seen(view) if plain == channel]
+    def candidates(self, channel: str) -> list[tuple[int, str]]:
+        """Return (part, name there) of all channels that are called so; `part.channel` names a part's own."""
+        found = [(index, channel) for index, part in enumerate(self.parts) if channel in part.channels]
         if found:
             return found
         for index, part in enumerate(self.parts):
             name = channel.removeprefix(part.name + ".")
             if part.name and name != channel and name in part.channels:
                 return [(index, name)]
-        return [(index, channel) for index, part in enumerate(self.parts) if channel in part.channels][:1]
+        return []
 
-    def find(self, channel: str, view: str | None = None) -> tuple[int, str] | None:
+    def find(self, channel: str) -> tuple[int, str] | None:
         """Return the first of `candidates`, None if there are none."""
-        return next(iter(self.candidates(channel, view)), None)
+        return next(iter(self.candidates(channel)), None)
 
     @property
     def channels(self) -> list[str]:
         return [name for part in self.parts for name in part.channels]
-
-
-def _view_of(part: ExrPart, channel: str) -> tuple[str | None, str]:
-    """Return the view of a channel, None if it is of none, and the channel's name without it: a part has the attribute
-    `view`, or `multiView` lists those that stand before the last word of names, as in left.R."""
-    own = part.texts.get("view")
-    *layers, name = channel.split(".")
-    if own or not part.views:
-        return own or None, channel
-    if not layers:
-        return part.views[0], channel
-    if layers[-1] in part.views:
-        return layers[-1], ".".join((*layers[:-1], name))
-    return None, channel
 
 
 class _Short(Exception):
@@ -164,86 +120,28 @@ class _Cursor:
         return self.take(end - self.position + 1)[:-1].decode("utf-8", "replace")
 
 
-class HeaderReader:
-    """Reads headers. It is faster for those that equal one read before except for their matrices, as in a sequence."""
+def read_header(path: str | Path, label: str) -> ExrHeader:
+    """Return the header of the EXR file at `path`, checked to be complete; `label` names the file in errors.
 
-    def __init__(self):
-        self._known: list[_Known] = []
-
-    def read(self, path: str | Path, label: str, matrices: bool = True) -> ExrHeader:
-        """Return the header of the EXR file at `path`, checked to be complete; `label` names the file in errors.
-        Without `matrices` those may be another file's.
-
-        Raises GffeError if the file is missing, no EXR, deep, or ends before its last chunk of pixels.
-        """
+    Raises GffeError if the file is missing, no EXR, deep, of several views, or ends before its last chunk of pixels.
+    """
+    try:
+        file, size = descriptor_of(path)
         try:
-            file, size = descriptor_of(path)
-            try:
-                data = os.read(file, _FIRST_BYTES)
-                header = self._known_header(data, matrices) or self._parsed(file, data, size, label)
-                _check_chunks(file, data, size, header, label)
-            finally:
-                os.close(file)
-        except FileNotFoundError:
-            raise GffeError(f"{label}: no such file in {Path(path).parent}") from None
-        except OSError as error:
-            raise GffeError(f"{label}: cannot be read ({error.strerror or error})") from None
-        return header
-
-    def _known_header(self, data: bytes, matrices: bool) -> ExrHeader | None:
-        for known in self._known:
-            header = known.header_of(data, matrices)
-            if header:
-                return header
-        return None
-
-    def _parsed(self, file, data, size, label) -> ExrHeader:
-        header, spans = _read_parts(file, data, size, label)
-        for part in header.parts:
-            _check_part(part, label)
-        if header.end <= len(data):
-            header.layout = _Known(header, data, spans)
-            self._known = [header.layout, *self._known[: _MOST_KNOWN - 1]]
-        return header
+            data = os.read(file, _FIRST_BYTES)
+            header = _read_parts(file, data, size, label)
+            _check_parts(header.parts, label)
+            _check_chunks(file, data, size, header, label)
+        finally:
+            os.close(file)
+    except FileNotFoundError:
+        raise GffeError(f"{label}: no such file in {Path(path).parent}") from None
+    except OSError as error:
+        raise GffeError(f"{label}: cannot be read ({error.strerror or error})") from None
+    return header
 
 
-def read_header(path: Path, label: str) -> ExrHeader:
-    """Return the header of a single EXR file, checked as by `HeaderReader.read`. Raises GffeError as it does."""
-    return HeaderReader().read(path, label)
-
-
-class _Known:
-    """A header, and the beginning of files that have the same one except for the values of its matrices."""
-
-    def __init__(self, header: ExrHeader, data: bytes, spans: list[_Span]):
-        self._header, self._spans = header, spans
-        ends = [0, *(span.end for span in spans)]
-        starts = [*(span.start for span in spans), header.end]
-        self._same = [(a, b, data[a:b]) for a, b in zip(ends, starts, strict=True)]
-
-    def header_of(self, data: bytes, matrices: bool = True) -> ExrHeader | None:
-        for start, end, piece in self._same:
-            if data[start:end] != piece:
-                return None
-        if not matrices or not self._spans:
-            return self._header
-        parts = [replace(part, matrices={}) for part in self._header.parts]
-        for index, name, form, start, end in self._spans:
-            parts[index].matrices[name] = (form, data[start:end])
-        return ExrHeader(parts, self._header.multi_part, self._header.end, self)
-
-
-class _Span(NamedTuple):
-    """Position in a file of the values of a matrix."""
-
-    part: int
-    name: str
-    form: str
-    start: int
-    end: int
-
-
-def _read_parts(file, data, size, label) -> tuple[ExrHeader, list[_Span]]:
+def _read_parts(file, data, size, label) -> ExrHeader:
     length = _FIRST_BYTES
     while True:
         if not data.startswith(_MAGIC[: len(data)]):
@@ -262,13 +160,13 @@ def _read_parts(file, data, size, label) -> tuple[ExrHeader, list[_Span]]:
         data = _bytes_at(file, b"", 0, length)
 
 
-def _parse(cursor) -> tuple[ExrHeader, list[_Span]]:
+def _parse(cursor) -> ExrHeader:
     cursor.take(4)
     (version,) = cursor.unpack("I")
     multi_part = bool(version & _MULTI_PART)
-    parts, spans = [], []
+    parts = []
     while True:
-        part = _parse_part(cursor, len(parts), spans)
+        part = _parse_part(cursor)
         if part is None:
             break
         part.deep |= bool(version & _NON_IMAGE) and not multi_part
@@ -283,19 +181,23 @@ def _parse(cursor) -> tuple[ExrHeader, list[_Span]]:
             raise ValueError(f"expected at most {_MOST_CHANNELS} channels and parts")
         if not multi_part:
             break
-    return ExrHeader(parts, multi_part, cursor.position), spans
+    return ExrHeader(parts, multi_part, cursor.position)
 
 
-def _check_part(part: ExrPart, label: str) -> None:
-    if part.deep:
-        raise GffeError(f"{label}: deep EXR data is not supported (expected flat images)")
-    x0, y0, x1, y1 = part.display_window
-    if x1 < x0 or y1 < y0:
-        raise GffeError(f"{label}: the display window {x0} {y0} {x1} {y1} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
+def _check_parts(parts: list[ExrPart], label: str) -> None:
+    for part in parts:
+        if part.deep:
+            raise GffeError(f"{label}: deep EXR data is not supported (expected flat images)")
+        if min(part.shown_size) < 1:
+            window = " ".join(map(str, part.display_window))
+            raise GffeError(f"{label}: the display window {window} is empty (expected x0 ≤ x1 and y0 ≤ y1)")
+    views = sorted({view for part in parts for view in part.views})
+    if len(views) > 1:
+        raise GffeError(f"{label}: holds the views {printable(', '.join(views))} (expected a file for each view)")
 
 
-def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
-    """Return the next header, of part `index`; None for the empty one that ends a multi-part list."""
+def _parse_part(cursor) -> ExrPart | None:
+    """Return the next part's header; None for the empty one that ends a multi-part list."""
     part, kind = ExrPart(), ""
     name = cursor.text()
     if not name:
@@ -322,23 +224,20 @@ def _parse_part(cursor, index: int, spans: list[_Span]) -> ExrPart | None:
                 text = value.data.decode("utf-8", "replace")
                 part.name, kind = (text, kind) if name == "name" else (part.name, text)
             elif form in ("m44f", "m44d"):
-                values = value.take(64 if form == "m44f" else 128)
-                start = cursor.position - size
-                part.matrices[name] = (form, values)
-                spans.append(_Span(index, name, form, start, start + len(values)))
+                numbers = value.unpack("16f" if form == "m44f" else "16d")
+                part.matrices[name] = np.array(numbers).reshape(4, 4)
             elif (name, form) == ("multiView", "stringvector"):
-                part.views = _parse_texts(value)
+                part.views += _parse_texts(value)
             elif form == "string":
-                part.texts[name] = part.attributes[name] = value.data.decode("utf-8", "replace")
+                part.attributes[name] = text = value.data.decode("utf-8", "replace")
+                if name == "view":
+                    part.views += (text,)
             elif form in _NUMBERS:
-                numbers = value.unpack(_NUMBERS[form])
-                part.texts[name] = "/".join(map(str, numbers))
-                if len(numbers) == 1:
-                    part.attributes[name] = numbers[0]
-            elif form in _TUPLES:
-                part.attributes[name] = value.unpack(_TUPLES[form])
-            elif form == "envmap":
-                part.attributes[name] = value.take(1)[0]
+                (part.attributes[name],) = value.unpack(_NUMBERS[form])
+            elif form == "rational":
+                part.attributes[name] = "{}/{}".format(*value.unpack("iI"))
+            elif form == "chromaticities":
+                part.attributes[name] = value.unpack("8f")
         except _Short:
             raise ValueError from None
         name = cursor.text()
@@ -387,14 +286,15 @@ def _check_chunks(file, data, size, header, label):
     """Raise GffeError unless every chunk has been written, and the last one ends inside the file. `data`: its first
     bytes."""
     table = header.end
-    for part, chunks in zip(header.parts, header.chunk_tables, strict=True):
-        if chunks is None:
+    for part in header.parts:
+        count = _chunk_count(part)
+        if count is None:
             return
-        if table + chunks.size > size:
+        nbytes = 8 * (count if count >= 0 else _TOO_MANY)
+        if table + nbytes > size:
             raise GffeError(f"{label}: truncated, {size} bytes end inside the chunk table")
-        offsets = chunks.unpack(_bytes_at(file, data, table, chunks.size))
-        count = len(offsets)
-        table += chunks.size
+        offsets = struct.unpack(f"<{count}Q", _bytes_at(file, data, table, nbytes))
+        table += nbytes
         missing = offsets.count(0)
         if missing:
             raise GffeError(f"{label}: incomplete, {missing} of {count} chunks were never written")

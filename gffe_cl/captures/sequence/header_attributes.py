@@ -16,20 +16,9 @@ from gffe_cl.engine.core.errors import printable
 
 # About the colors or the shape of pixels: as true of new frames as of the given ones.
 _CARRIED = {
-    "chromaticities": tuple, "whiteLuminance": float, "adoptedNeutral": tuple, "colorInteropID": str,
+    "chromaticities": tuple, "whiteLuminance": float, "colorInteropID": str,
     "pixelAspectRatio": float, "renderingTransform": str, "lookModTransform": str,
 }  # fmt: skip
-# About one file or one moment, or about how pixels are stored: not true of other frames.
-_OF_ONE_FILE = (
-    "altitude", "aperture", "ascFramingDecisionList", "asShotNeutral", "capDate", "channels", "chunkCount", "comments",
-    "compression", "dataWindow", "deepImageState", "displayWindow", "dwaCompressionLevel", "envmap", "expTime", "focus",
-    "framesPerSecond", "idManifest", "imageCounter", "isoSpeed", "keyCode", "latitude", "lineOrder", "longitude",
-    "maxSamplesPerPixel", "multiView", "name", "originalDataWindow", "owner", "preview", "reelName",
-    "screenWindowCenter", "screenWindowWidth", "shutterAngle", "tStop", "tiles", "timeCode", "timecodeRate", "type",
-    "utcOffset", "version", "view", "worldToCamera", "worldToNDC", "wrapmodes", "xDensity",
-)  # fmt: skip
-_PREFIXES = ("unreal/", "camera", "lens", "sensor", "nominalFocal", "effectiveFocal", "pinholeFocal", "entrancePupil")
-_LENGTHS = {"chromaticities": 8, "adoptedNeutral": 2}
 _SQUARE = 1e-3  # of pixels' aspect
 _SAME_RATE = 0.01  # relative
 _PXR24, _B44, _B44A, _DWAA, _DWAB = 5, 6, 7, 8, 9
@@ -38,20 +27,13 @@ _COMPRESSIONS = {_PXR24: "pxr24", _B44: "b44", _B44A: "b44a", _DWAA: "dwaa", _DW
 _MOST_TEXT, _MOST_ASPECT, _MOST_CHROMATICITY = 4096, 100.0, 10.0  # of attributes that are carried on
 
 
-def carried(header: ExrHeader, part: int, later: ExrHeader | None = None, view: str | None = None) -> dict[str, Any]:
-    """Return the attributes of a part that new frames get: those about its colors, and those of other programs that a
-    `later` file of the sequence has as well."""
-    given = header.parts[part].attributes
-    same = later.parts[min(part, len(later.parts) - 1)].attributes if later else {}
+def carried(part: ExrPart) -> dict[str, Any]:
+    """Return the attributes of a part that new frames get: those about its colors."""
     found = {}
-    for name, value in given.items():
-        theirs = name not in _OF_ONE_FILE and not name.startswith(_PREFIXES) and same.get(name) == value
-        wanted = isinstance(value, _CARRIED[name]) if name in _CARRIED else theirs
-        if wanted and _is_sound(name, value):
-            found[name] = np.array(value, np.float32) if isinstance(value, tuple) and len(value) < 8 else value
-    own = view or header.parts[part].texts.get("view") or next(iter(header.views), "")
-    if own and _is_sound("view", own):
-        found["view"] = own
+    for name, kind in _CARRIED.items():
+        value = part.attributes.get(name)
+        if isinstance(value, kind) and _is_sound(name, value):
+            found[name] = value
     return found
 
 
@@ -61,9 +43,8 @@ def _is_sound(name: str, value: Any) -> bool:
         return 0 < len(value) <= _MOST_TEXT and "\0" not in value
     if name == "pixelAspectRatio":
         return abs(value - 1) > _SQUARE and 1 / _MOST_ASPECT < value < _MOST_ASPECT
-    if isinstance(value, tuple):
-        right = len(value) == _LENGTHS.get(name, len(value))
-        return right and bool(np.abs(value).max() < (_MOST_CHROMATICITY if len(value) == 8 else np.inf))
+    if name == "chromaticities":
+        return bool(np.abs(value).max() < _MOST_CHROMATICITY)
     return bool(np.isfinite(value).all())
 
 
@@ -74,14 +55,9 @@ class Remarks:
     def __init__(self, fps: float | None = None):
         self._fps = fps
         self._files: dict[str, str] = {}  # by sentence
-        self._layouts: set[object] = set()  # of the headers so far
 
     def add(self, header: ExrHeader, file: str, exact: Iterable[tuple[int, str]] = ()) -> None:
         """Examine the header of `file`, whose `exact` channels hold depth or motion."""
-        if header.layout in self._layouts:
-            return
-        if header.layout is not None:
-            self._layouts.add(header.layout)
         for text in _unsupported(header, list(exact), self._fps):
             self._files.setdefault(printable(text), file)
 
@@ -91,7 +67,7 @@ class Remarks:
 
 
 def _unsupported(header: ExrHeader, exact: list[tuple[int, str]], fps: float | None) -> Iterator[str]:
-    """Yield sentences about `exact` channels that were approximated, pixels that are not square, panoramas, and another
+    """Yield sentences about `exact` channels that were approximated, pixels that are not square, and another
     frame rate than `fps`."""
     lossy = [(header.parts[index], name) for index, name in exact if _is_approximated(header.parts[index], name)]
     if lossy:
@@ -104,8 +80,6 @@ def _unsupported(header: ExrHeader, exact: list[tuple[int, str]], fps: float | N
     aspect = first.attributes.get("pixelAspectRatio")
     if isinstance(aspect, float) and not abs(aspect - 1) < _SQUARE:
         yield f"pixels are not square, pixelAspectRatio is {aspect:g}: cameras are taken as given"
-    if "envmap" in first.attributes:
-        yield "the header says envmap, a panorama: it is taken for a picture through a pinhole"
     rate = frame_rate(first)
     if fps and rate and abs(rate / fps - 1) > _SAME_RATE:
         yield f"framesPerSecond is {rate:g} in the header, {fps:g} in the description, which is used"
@@ -113,7 +87,7 @@ def _unsupported(header: ExrHeader, exact: list[tuple[int, str]], fps: float | N
 
 def frame_rate(part: ExrPart, name: str = "framesPerSecond") -> float | None:
     """Return the frame rate in the attribute `name`, None if it is missing or invalid."""
-    above, _, below = part.texts.get(name, "").partition("/")
+    above, _, below = str(part.attributes.get(name, "")).partition("/")
     try:
         rate = float(above) / float(below or 1)
     except (ValueError, ZeroDivisionError):

@@ -44,7 +44,7 @@ def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
 
     Raises GffeError if the matrices are not finite, singular or do not belong together.
     """
-    stored = [part.matrix(name) for name in _NAMES]
+    stored = [part.matrices[name] for name in _NAMES]
     if not all(np.isfinite(m).all() for m in stored):
         raise GffeError("camera: worldToCamera and worldToNDC must be finite")
     fits = [_decompose(*matrices) for matrices in ([m.T for m in stored], stored)]
@@ -55,8 +55,7 @@ def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
             "camera: worldToNDC is no pinhole projection of worldToCamera"
             " (expected OpenEXR's: z forward, y up, NDC (0, 0) at the upper left)"
         )
-    x0, y0, x1, y1 = part.display_window
-    width, height = x1 - x0 + 1, y1 - y0 + 1
+    (width, height), (left, top) = part.shown_size, part.offset
     display = Camera(
         world_to_view,
         projection[0, 0] * width,
@@ -64,7 +63,6 @@ def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
         projection[0, 2] * width,
         projection[1, 2] * height,
     )
-    left, top = part.data_window[0] - x0, part.data_window[1] - y0
     render = Camera(world_to_view, display.fx, display.fy, display.cx - left, display.cy - top)
     return render, display
 

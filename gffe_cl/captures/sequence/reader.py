@@ -25,7 +25,7 @@ from gffe_cl.captures.sequence.description import (
     require_one_size,
     without_collections,
 )
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, HeaderReader
+from gffe_cl.captures.sequence.exr_layout import read_header
 from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.captures.sequence.matching import Timeline
@@ -310,45 +310,28 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
     description = parse_description(text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
-    reader, passed = HeaderReader(), set()
-    rendered: list[tuple[ExrHeader, str]] = []  # the first and the last header of rendered frames, and their files
-    remarks = Remarks(description.fps)
+    pixels, remarks = OwnPixels(folder), Remarks(description.fps)
     for index, entry in enumerate(description.frames):
-        header = reader.read(os.path.join(folder, entry.place), entry.file, matrices=_lacks_camera(entry))
-        if entry.kind == "rendered":
-            rendered[1:] = [(header, entry.file)]
-        alike = header.layout, entry.kind, entry.reset, entry.render_size
-        if alike not in passed:
-            _check_channels(entry, header)
+        header = read_header(os.path.join(folder, entry.place), entry.file)
+        places = _places(entry, header)
         _complete_cameras(entry, header, description, index, json_path.name, cameras == "needed")
-        if alike not in passed:
-            size = entry.render_size or (description.width, description.height)
-            exr.require_size(header, RENDERED[:4] if entry.kind == "rendered" else COLOR, size, entry.file)
-            if entry.kind == "rendered":
-                require_whole_overlays(header, entry.file, size == (description.width, description.height))
-                remarks.add(header, entry.file, filter(None, map(header.find, ("Z", *MOTION))))
-        if header.layout:
-            passed.add(alike)
-    pixels = OwnPixels(folder)
-    if rendered:
-        (first, _), (last, file) = rendered[0], rendered[-1]
-        pixels.notes += exr.view_note(last, file) + remarks.sentences
-        color = first.find("R")
-        assert color is not None  # as checked
-        pixels.attributes = carried(first, color[0], last)
+        size = entry.render_size or (description.width, description.height)
+        exr.require_parts(header, {part for part, _ in places}, size, entry.file)
+        if entry.kind == "rendered":
+            require_whole_overlays(header, entry.file, size == (description.width, description.height))
+            remarks.add(header, entry.file, places[len(COLOR) :])
+            pixels.attributes = pixels.attributes or carried(header.parts[places[0][0]])
+    pixels.notes += remarks.sentences
     return Sequence(folder, description, pixels)
 
 
-def _check_channels(entry, header):
+def _places(entry, header) -> list[tuple[int, str]]:
+    """Return the places of R, G, B and, of rendered frames, of depth and motion."""
     if entry.kind != "rendered":
-        exr.require_channels(header, COLOR, entry.file)
-        return
+        return exr.require_channels(header, COLOR, entry.file)
     # Half a motion vector is a fault even where none is allowed.
-    names = RENDERED if not entry.reset or any(header.find(n) for n in MOTION) else RENDERED[:4]
-    for name in names:
-        if exr.place_of(header, name, entry.file) is None:
-            needed = f"rendered frames need {', '.join(RENDERED)}"
-            raise GffeError(f"{entry.file}: no channel '{name}' ({needed})")
+    has_motion = not entry.reset or any(header.find(name) for name in MOTION)
+    return exr.require_channels(header, RENDERED if has_motion else RENDERED[:4], entry.file)
 
 
 def _lacks_camera(entry) -> bool:
@@ -383,8 +366,8 @@ def _take_header_cameras(entry, part, size):
         render, display = header_cameras(part)
     except GffeError as error:
         raise GffeError(f"EXR header, {error}") from None
-    x0, y0, x1, y1 = part.display_window
-    display = display.scaled(size[0] / (x1 - x0 + 1), size[1] / (y1 - y0 + 1))
+    width, height = part.shown_size
+    display = display.scaled(size[0] / width, size[1] / height)
     if entry.kind == "rendered":
         entry.render_camera = render
         entry.render_size = entry.render_size or part.size
@@ -394,9 +377,7 @@ def _take_header_cameras(entry, part, size):
 def _complete_overscan(entry, part, size):
     """Set render size and display camera that the JSON leaves out, where the stored image is more or less than the
     display window of its EXR header."""
-    x0, y0, x1, y1 = part.display_window
-    shown = (x1 - x0 + 1, y1 - y0 + 1)
-    left, top = part.data_window[0] - x0, part.data_window[1] - y0
+    shown, (left, top) = part.shown_size, part.offset
     if shown == part.size and not (left or top):
         return
     entry.render_size = entry.render_size or part.size

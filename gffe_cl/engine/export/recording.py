@@ -134,7 +134,7 @@ class _Rehearsal:
             name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
             for name, stage in chosen.items()
         }
-        self.board.memory.place(self.board.turn)
+        self.board.memory.place()
         others: dict[str, Any] = {stage.name: stage(self.board) for stage in (Presentation, Composition, Upload)}
         others[Upload.name].allocate_small()
         others[FrameBlocks.name] = self.board.blocks

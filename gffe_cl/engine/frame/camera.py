@@ -54,9 +54,10 @@ class Camera:
     def __post_init__(self):
         intrinsics = [validation.require_number(getattr(self, name), f"camera: {name}") for name in _FIELDS[1:]]
         matrix = _matrix(self.world_to_view)
-        _check(matrix, *intrinsics)
         matrix.setflags(write=False)
         self.__dict__.update(zip(_FIELDS, (matrix, *intrinsics), strict=True))
+        _check(self.rows, *self.intrinsics)
+        _ = self.inverse  # already here, and not while frames are made
 
     def __eq__(self, other):
         return (
@@ -197,7 +198,7 @@ class Camera:
         angles = validation.require_vector(rotation, "camera: rotation (pitch, yaw, roll)")
         return cls(conventions.unreal_view(location, *angles), focal, focal, width / 2, height / 2)
 
-    @property
+    @cached_property
     def intrinsics(self) -> tuple[float, float, float, float]:
         """Focal lengths fx, fy and principal point cx, cy in pixels."""
         return (self.fx, self.fy, self.cx, self.cy)
@@ -377,22 +378,20 @@ def _all_numbers(given) -> bool:
     return bool not in {type(value) for row in given if isinstance(row, list | tuple) for value in row}
 
 
-def _check(matrix: np.ndarray, fx: float, fy: float, cx: float, cy: float) -> None:
-    """Raise GffeError if a camera is invalid; the matrix is (4, 4) float64."""
-    if not (np.isfinite(matrix).all() and all(map(math.isfinite, (fx, fy, cx, cy)))):
+def _check(rows: list[list[float]], fx: float, fy: float, cx: float, cy: float) -> None:
+    """Raise GffeError if a camera is invalid; `rows`: of the matrix (4, 4)."""
+    if not all(map(math.isfinite, (*rows[0], *rows[1], *rows[2], *rows[3], fx, fy, cx, cy))):
         raise GffeError("camera: not finite (world_to_view, fx, fy, cx and cy must be finite numbers)")
-    rotation = matrix[:3, :3]
-    with np.errstate(over="ignore", invalid="ignore"):
-        off = np.abs(rotation @ rotation.T - np.eye(3)).max()
-    if not off <= RIGIDITY_TOLERANCE:
+    axes = rows[:3]
+    if not all(abs(vectors.dot(a, b) - (a is b)) <= RIGIDITY_TOLERANCE for a in axes for b in axes):
         raise GffeError("camera: world_to_view is singular or not rigid (expected a rotation and a translation)")
-    if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-9:
+    if any(abs(x - expected) > 1e-9 for x, expected in zip(rows[3], (0, 0, 0, 1), strict=True)):
         raise GffeError("camera: the last row of world_to_view must be 0 0 0 1 (column vectors)")
     if min(fx, fy) <= 0:
         raise GffeError(f"camera: singular projection, fx and fy must be positive, got {fx:g} and {fy:g}")
     if max(fx, fy) > MOST_FOCAL or min(fx, fy) < 1 / MOST_FOCAL:
         raise GffeError(f"camera: fx and fy must be within 1e-9 and 1e9 pixels, got {fx:g} and {fy:g}")
-    if max(abs(cx), abs(cy)) > MOST_FOCAL or np.abs(matrix[:3, 3]).max() > MOST_DISTANCE:
+    if max(abs(cx), abs(cy)) > MOST_FOCAL or max(abs(row[3]) for row in axes) > MOST_DISTANCE:
         raise GffeError("camera: cx, cy must be within 1e9 pixels and the position within 1e15 world units")
 
 

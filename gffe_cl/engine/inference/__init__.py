@@ -1,1 +1,1 @@
-"""Networks run by onnxruntime: sessions, execution providers, their check against the CPU."""
+"""The shading correction network: read for OpenCL kernels, or run by onnxruntime."""

@@ -9,8 +9,6 @@ from __future__ import annotations
 
 import hashlib
 import os
-import threading
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -24,13 +22,10 @@ from gffe_cl.engine.inference.model_interface import (
     JUDGEMENT_PLANES,
     OUTPUT,
     head_weights,
-    shapes_at,
 )
-from gffe_cl.engine.inference.provider_choice import AUTO, Choice, choose
-from gffe_cl.engine.inference.providers import (
+from gffe_cl.engine.inference.sessions import (
     CPU,
     PACKAGED,
-    PROVIDERS,
     NetworkError,
     cpu_model,
     has_onnxruntime,
@@ -38,19 +33,17 @@ from gffe_cl.engine.inference.providers import (
     one_line,
     open_session,
 )
-from gffe_cl.engine.inference.sessions import FixedSession
 
-__all__ = ["AUTO", "PROVIDERS", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
+__all__ = ["AUTO", "ON_CPU", "OPENCL", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
 
-OPENCL = "opencl"  # the kernels, in place of a provider of onnxruntime
+AUTO, OPENCL, ON_CPU = "auto", "opencl", "cpu"  # what may be asked for: the kernels, or onnxruntime
 # What runs the network of the package by default, by the kind of the device.
 RUNS_ON = {
     "gpu": "with OpenCL kernels, as it is a GPU",
     "cpu": "with onnxruntime, which is faster on a CPU than kernels and has the same bits",
 }
 _FLOAT = "tensor(float)"
-_MOST_SIZES = 4  # whose sessions are kept
-_loaded: dict[tuple, tuple] = {}  # (path, the CPU's, requested provider) → (stamp of the file and the process, Network)
+_loaded: dict[tuple, tuple] = {}  # (path, requested provider) → (stamp of the file and the process, Network)
 _asked_for: list[Network | KernelNetwork] = []  # since remarks were last taken
 
 
@@ -72,50 +65,48 @@ def scn_missing() -> str | None:
 
 
 def load_network(
-    path: str | Path | None = None, provider: str | None = CPU.name, on_gpu: bool = False
+    path: str | Path | None = None, provider: str | None = ON_CPU, on_gpu: bool = False
 ) -> Network | KernelNetwork:
-    """Return the network of the ONNX file `path` (None: of the package, in 8-bit integers on the CPU and in OpenCL), as
-    layers for OpenCL kernels ("opencl") or on a provider of onnxruntime: a key of `PROVIDERS`, onnxruntime's own name,
-    or "auto". With None and "auto" the kernels run it `on_gpu`, and where onnxruntime is not installed, if they can;
-    else it is the CPU for None. A provider that is not the CPU is compared with it in a child process first, once per
-    machine. A network is loaded once as long as the file stays the same, and again in a forked child, where the threads
-    of the parent's session are not. Raises NetworkError."""
-    packaged = path is None
-    path = default_model() if path is None else Path(path)
+    """Return the network of the ONNX file `path` (None: of the package, in 8-bit integers), as layers for OpenCL
+    kernels (`OPENCL`) or in onnxruntime (`ON_CPU`). With None and `AUTO` the kernels run it `on_gpu`, and where
+    onnxruntime is not installed, if they can. A network is loaded once as long as the file stays the same, and again in
+    a forked child, where the threads of the parent's session are not. Raises NetworkError."""
     if path is None:
-        raise NetworkError(
-            f"{scn_missing()}: expected gffe_cl/engine/inference/weights/scn.onnx, or another model's path"
-        )
+        packaged = default_model()
+        if packaged is None:
+            raise NetworkError(
+                f"{scn_missing()}: expected gffe_cl/engine/inference/weights/scn.onnx, or another model's path"
+            )
+        path = cpu_model(packaged)
+    path = Path(path)
     if not path.is_file():
         raise NetworkError(f"{path}: no such file (expected a shading correction network, ONNX)")
-    state = path.stat()
-    wanted = next((each.name for each in PROVIDERS.values() if provider in (each.name, each.ort)), provider)
-    if wanted is None and not on_gpu and has_onnxruntime():
-        wanted = CPU.name
-    on_cpu = cpu_model(path) if packaged else path
-    key = path.resolve(), on_cpu, wanted, on_gpu
-    stamp = state.st_mtime_ns, state.st_size, os.getpid()
+    if provider not in (None, AUTO, OPENCL, ON_CPU):
+        raise NetworkError(f"provider '{provider}' is not available (there is: {AUTO}, {OPENCL}, {ON_CPU})")
+    by_itself = AUTO if on_gpu or not has_onnxruntime() else ON_CPU
+    wanted, state = by_itself if provider in (None, AUTO) else provider, path.stat()
+    key, stamp = (path.resolve(), wanted), (state.st_mtime_ns, state.st_size, os.getpid())
     if key not in _loaded or _loaded[key][0] != stamp:
-        _loaded[key] = stamp, _load(path, wanted, on_cpu, on_gpu)
+        _loaded[key] = stamp, _load(path, wanted)
     network = _loaded[key][1]
     if network not in _asked_for:
         _asked_for.append(network)
     return network
 
 
-def _load(path: Path, provider: str | None, on_cpu: Path, on_gpu: bool) -> Network | KernelNetwork:
-    remark = ""
-    if provider == OPENCL or (provider in (None, AUTO) and (on_gpu or not has_onnxruntime())):
-        try:
-            return KernelNetwork(on_cpu)
-        except NotInKernels as why:
-            if provider == OPENCL:
-                raise NetworkError(
-                    f"{on_cpu}: OpenCL kernels cannot run it: {why} (expected a network of integers, as"
-                    " `gffe train --integers` makes it)"
-                ) from None
-            remark = f"{on_cpu.name}: onnxruntime runs the network, as OpenCL kernels cannot: {why}"
-    return Network(path, provider or CPU.name, on_cpu, remark)
+def _load(path: Path, wanted: str | None) -> Network | KernelNetwork:
+    """Return the network that `wanted` runs; with `AUTO` the kernels, if they can."""
+    if wanted == ON_CPU:
+        return Network(path)
+    try:
+        return KernelNetwork(path)
+    except NotInKernels as why:
+        if wanted == AUTO:
+            return Network(path, f"{path.name}: onnxruntime runs the network, as OpenCL kernels cannot: {why}")
+        raise NetworkError(
+            f"{path}: OpenCL kernels cannot run it: {why} (expected a network of integers, as"
+            " `gffe train --integers` makes it)"
+        ) from None
 
 
 def reason(network: Network | KernelNetwork, provider: str | None, on_gpu: bool) -> str:
@@ -124,14 +115,11 @@ def reason(network: Network | KernelNetwork, provider: str | None, on_gpu: bool)
         return "as requested"
     if network.layers:
         return "the device is a GPU" if on_gpu else "onnxruntime is not installed"
-    if provider == AUTO:
-        return "the fastest with the CPU's results"
     return "kernels cannot run it" if on_gpu else "faster on a CPU than kernels, with the same bits"
 
 
 def take_remarks() -> list[str]:
-    """Return notes for the user since the last call on the providers that ran networks: providers that "auto" refused,
-    or that failed, so that the CPU took over."""
+    """Return notes for the user on networks loaded since the last call: those that kernels cannot run."""
     remarks = [network.remark for network in _asked_for if network.remark]
     _asked_for.clear()
     return list(dict.fromkeys(remarks))
@@ -140,7 +128,7 @@ def take_remarks() -> list[str]:
 class KernelNetwork:
     """A network that OpenCL kernels run (`Convolutions`): its `layers`, and `head` as in `Network`."""
 
-    provider, remark, copying = OPENCL, "", 0.0
+    provider, remark = OPENCL, ""
 
     def __init__(self, path: Path):
         """Read the ONNX file `path`. Raises NotInKernels where kernels cannot run it, and NetworkError."""
@@ -148,97 +136,38 @@ class KernelNetwork:
         self.layers = read_layers(path)
         self.head = _head_of(path, self.layers.head)
 
-    def prepare(self, height: int, width: int) -> None:
-        """Do nothing: nothing depends on the size."""
-
 
 class Network:
-    """A network and its runtime; see `load_network`.
+    """A network in onnxruntime; see `load_network`.
 
-    `session`: the CPU's, for any size; where the CPU was chosen, of the file `on_cpu` (None: `path`). `head`: (374,)
-    float32, weights of its last two layers. `copying`: milliseconds of the last run that went into copies to the
-    provider and back, as far as they are known apart. `remark`: a note for the user on the provider, "" if none.
+    `session`: for any size; it has no state. `head`: (374,) float32, weights of its last two layers. `remark`: a note
+    for the user, "" if none.
     """
 
     layers = None  # for kernels
+    provider = CPU
 
-    def __init__(self, path: Path, provider: str = CPU.name, on_cpu: Path | None = None, remark: str = ""):
-        self.path, self._remark = path, remark
-        self.session = open_session(on_cpu if on_cpu and provider == CPU.name else path)
-        self.copying = 0.0
-        self._failure = ""
-        self._fixed: dict[tuple[int, int], FixedSession] = {}  # by height and width, the latest last
-        self._one_at_a_time = threading.RLock()  # on a provider; the CPU's session has no state
+    def __init__(self, path: Path, remark: str = ""):
+        self.path, self.remark, self.session = path, remark, open_session(path)
         free = (None, None)
         inputs = {"frames": (1, INPUT_PLANES, *free), "candidates": (1, CANDIDATE_PLANES, *free)}
         _require(path, "input", self.session.get_inputs(), inputs)
         _require(path, "output", self.session.get_outputs(), {OUTPUT: (1, JUDGEMENT_PLANES, *free)})
-        self.choice: Choice = choose(path, provider)
-        if on_cpu and provider != CPU.name and self.choice.provider == CPU:
-            self.session = open_session(on_cpu)
         self.head = _head_of(path, self.session.get_modelmeta().custom_metadata_map.get(HEAD, ""))
-
-    @property
-    def provider(self) -> str:
-        """Name of the execution provider in onnxruntime."""
-        return (CPU if self._failure else self.choice.provider).ort
-
-    @property
-    def remark(self) -> str:
-        return "; ".join(filter(None, (self._remark, self.choice.remark, self._failure)))
-
-    def prepare(self, height: int, width: int) -> None:
-        """Prepare for images of this size, which may take seconds. Raises NetworkError."""
-        self._guarded(lambda: None if self.provider == CPU.ort else self._session_of(height, width))
 
     def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
         """Read `frames` (8, h, w) and `candidates` (16, h/2, w/2), write `judgement` (20, h/2, w/2): C-contiguous
-        float32, used in place on the CPU. Returns the number of its pixels with NaN or infinity. Raises NetworkError.
-        """
-        inputs = {"frames": frames[None], "candidates": candidates[None]}
-        self._guarded(lambda: self._run(inputs, judgement[None]))
-        return _pixels_not_finite(judgement)
-
-    def _guarded(self, work: Callable[[], object]) -> None:
-        """Do `work`. Where it fails on a provider that was not asked for by name, do it once more on the CPU, and stay
-        there."""
-        try:
-            work()
-        except Exception as error:  # whatever a driver throws
-            text = one_line(error)
-            if self._failure or not self.choice.may_fall_back:
-                raise NetworkError(f"{self.path}: the network failed on {self.provider}: {text}") from None
-            self._failure = f"{self.path.name}: the network failed on {self.provider} ({text}) and went on on the CPU"
-            self._fixed.clear()
-            self._guarded(work)
-
-    def _run(self, inputs: dict[str, np.ndarray], judgement: np.ndarray) -> None:
-        if self.provider != CPU.ort:
-            with self._one_at_a_time:
-                fixed = self._session_of(*inputs["frames"].shape[2:])
-                fixed.run(inputs, OUTPUT, judgement)
-                self.copying = fixed.copying
-            return
-        self.copying = 0.0
+        float32, used in place. Returns the number of its pixels with NaN or infinity. Raises NetworkError."""
         binding = self.session.io_binding()
-        for name, array in inputs.items():
+        for name, array in (("frames", frames[None]), ("candidates", candidates[None])):
             binding.bind_input(name, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-        binding.bind_output(OUTPUT, "cpu", 0, np.float32, judgement.shape, judgement.ctypes.data)
-        self.session.run_with_iobinding(binding)
+        binding.bind_output(OUTPUT, "cpu", 0, np.float32, judgement[None].shape, judgement.ctypes.data)
+        try:
+            self.session.run_with_iobinding(binding)
+        except Exception as error:  # onnxruntime's classes have no common base
+            raise NetworkError(f"{self.path}: the network failed on {CPU}: {one_line(error)}") from None
         binding.synchronize_outputs()
-
-    def _session_of(self, height: int, width: int) -> FixedSession:
-        """Return the session on the provider for images of this size."""
-        size = height, width
-        with self._one_at_a_time:
-            if size in self._fixed:
-                self._fixed[size] = self._fixed.pop(size)
-                return self._fixed[size]
-            made = FixedSession(self.path, self.choice.provider, shapes_at(height, width), self.session)
-            while len(self._fixed) >= _MOST_SIZES:
-                del self._fixed[next(iter(self._fixed))]
-            self._fixed[size] = made
-            return made
+        return _pixels_not_finite(judgement)
 
 
 def _head_of(path: Path, text: str) -> np.ndarray:

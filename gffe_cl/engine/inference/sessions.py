@@ -1,84 +1,87 @@
-"""Sessions of a network on a provider with its own memory, with transfers in both directions and their times."""
+"""Sessions of onnxruntime on the CPU."""
 
 from __future__ import annotations
 
-import time
-from collections.abc import Mapping
+import ctypes
+import os
+from functools import cache
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
+from typing import Any
+from weakref import WeakSet
 
-import numpy as np
-
-from gffe_cl.engine.inference.providers import Provider, load_onnxruntime, open_session
-
-
-def free_dimensions(session, shapes: Mapping[str, tuple[int, ...]]) -> dict[str, int]:
-    """Return the sizes of the free dimensions of a session's inputs by their names, where the inputs have `shapes`."""
-    return {
-        name: size
-        for value in session.get_inputs()
-        for name, size in zip(value.shape, shapes[value.name], strict=True)
-        if isinstance(name, str)
-    }
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import model_source
 
 
-class FixedSession:
-    """A session for inputs of one size.
+class NetworkError(GffeError):
+    """Error of a network that cannot be loaded, or fails."""
 
-    `copying`: milliseconds of the last run that went into copies between host and plug-in; 0 for providers that are
-    built into onnxruntime, which work in the host's memory or copy as a part of the run.
-    """
 
-    def __init__(self, path: Path, provider: Provider, shapes: Mapping[str, tuple[int, ...]], free):
-        """Open the session. `shapes`: of all inputs and of the output by name; `free`: any session of the model. Raises
-        NetworkError."""
-        self._runtime = load_onnxruntime()
-        self.session = open_session(path, provider, free_dimensions(free, shapes))
-        self.copying = 0.0
-        self._binding = self.session.io_binding()
-        self._inputs, self._outputs = {}, {}  # values in the provider's memory, by name
-        if not provider.built_in:
-            self._place(shapes)
+CPU = "CPUExecutionProvider"  # onnxruntime's name of what runs a session
+PACKAGED = Path(str(files("gffe_cl.engine.inference") / "weights" / "scn.onnx"))
 
-    def run(self, inputs: Mapping[str, np.ndarray], name: str, output: np.ndarray) -> None:
-        """Read `inputs`, write the model's output `name`: C-contiguous float32 of the declared shapes."""
-        start = time.perf_counter()
-        for key, array in inputs.items():
-            if key in self._inputs:
-                self._inputs[key].update_inplace(array)
-            else:
-                self._binding.bind_input(key, "cpu", 0, np.float32, array.shape, array.ctypes.data)
-        if not self._outputs:
-            self._binding.bind_output(name, "cpu", 0, np.float32, output.shape, output.ctypes.data)
-        sent = time.perf_counter()
-        self.session.run_with_iobinding(self._binding)
-        self._binding.synchronize_outputs()
-        self._wait(inputs)
-        done = time.perf_counter()
-        if self._outputs:
-            self._fetch(self._outputs[name], output)
-        self.copying = (time.perf_counter() - done + (sent - start if self._inputs else 0.0)) * 1e3
+_sessions: WeakSet[Any] = WeakSet()  # of this process and those from which it was forked
 
-    def _place(self, shapes: Mapping[str, tuple[int, ...]]) -> None:
-        """Allocate values in the plug-in's memory for inputs and outputs that it cannot access on the host."""
-        places = zip(self.session.get_inputs(), self.session.get_input_memory_infos(), strict=True)
-        for value, place in places:
-            if place.name != "Cpu":
-                self._inputs[value.name] = self._value(shapes[value.name], place)
-                self._binding.bind_ortvalue_input(value.name, self._inputs[value.name])
-        (value,), (place,) = self.session.get_outputs(), self.session.get_output_memory_infos()
-        if place.name != "Cpu":
-            self._outputs[value.name] = self._value(shapes[value.name], place)
-            self._binding.bind_ortvalue_output(value.name, self._outputs[value.name])
 
-    def _value(self, shape, place):
-        return self._runtime.OrtValue.ortvalue_from_shape_and_type(list(shape), np.float32, memory_info=place)
+def _leave_sessions() -> None:
+    """Keep the sessions of the parent in a forked child for ever: releasing one waits for its threads, which are not
+    there."""
+    for session in _sessions:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(session))
 
-    def _wait(self, inputs: Mapping[str, np.ndarray]) -> None:
-        """Wait until the provider has finished. WebGPU's runs return early, but a copy from its queue waits. The
-        smallest input is copied, so that the time of the result's copy is known separately."""
-        if self._inputs:
-            name = min(self._inputs, key=lambda key: inputs[key].size)
-            self._fetch(self._inputs[name], np.empty_like(inputs[name]))
 
-    def _fetch(self, value, into: np.ndarray) -> None:
-        self._runtime.copy_tensors([value], [self._runtime.OrtValue.ortvalue_from_numpy(into)])
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_sessions)
+
+
+def has_onnxruntime() -> bool:
+    """Return whether onnxruntime is installed. Without it OpenCL kernels run the network."""
+    return find_spec("onnxruntime") is not None
+
+
+@cache
+def load_onnxruntime() -> ModuleType:
+    """Return onnxruntime without its telemetry and its log output. On import, telemetry would write an id of the
+    device into the user's cache folder. No other function imports onnxruntime. Raises NetworkError where it is not
+    installed."""
+    if not has_onnxruntime():
+        raise NetworkError("onnxruntime is not installed (expected: pip install onnxruntime, or the provider opencl)")
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    onnxruntime.set_default_logger_severity(4)  # failures raise
+    return onnxruntime
+
+
+def cpu_model(path: Path) -> Path:
+    """Return the file that runs in place of `path`: for the package's own network its form in 8-bit integers, which
+    takes half the time on a CPU."""
+    integers = path.with_name(f"{path.stem}-int8.onnx")
+    return integers if path == PACKAGED and integers.is_file() else path
+
+
+def open_session(path: Path):
+    """Return an onnxruntime.InferenceSession of the ONNX file `path`; no other function makes any. Raises
+    NetworkError."""
+    onnxruntime = load_onnxruntime()
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
+    for kind in ("intra_op", "inter_op"):
+        options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(model_source(path), options, providers=[CPU])
+    except Exception as error:  # onnxruntime's classes have no common base
+        raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {one_line(error)}") from None
+    _sessions.add(session)
+    return session
+
+
+def one_line(error: Exception) -> str:
+    """Return the end of onnxruntime's message, which names the cause, in one line of at most 200 characters."""
+    text = " ".join(str(error).replace("\\n", " ").split())
+    return text if len(text) <= 200 else f"… {text[-198:]}"

@@ -7,7 +7,7 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gffe_cl.engine.inference.providers import CPU
+from gffe_cl.engine.inference.sessions import CPU
 
 
 class SubstituteNetwork:
@@ -17,13 +17,10 @@ class SubstituteNetwork:
     height, width), with which it is broadcast.
     """
 
-    copying, provider, layers = 0.0, CPU.ort, None
+    provider, layers = CPU, None
 
     def __init__(self, head: np.ndarray, judge: Callable[[tuple[int, ...]], ArrayLike]):
         self.head, self._judge = head, judge
-
-    def prepare(self, height: int, width: int) -> None:
-        """Do nothing: this network needs no preparation for a size."""
 
     def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
         """Fill `judgement`, and return 0: no pixel has NaN or infinity."""

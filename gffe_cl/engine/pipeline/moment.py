@@ -12,6 +12,7 @@ from gffe_cl.engine.core.validation import as_float32, require_array, require_ki
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.intervals import FAR_ALPHA, MOST_ALPHA
 from gffe_cl.engine.pipeline.rendered_frames import RenderedFrames
+from gffe_cl.engine.stages.base import Step
 from gffe_cl.engine.stages.buffers import Sizes
 
 
@@ -22,21 +23,16 @@ def checked_moment(
     seen_through: Any,
     frames: RenderedFrames,
     sizes: Sizes,
-) -> dict[str, Any]:
-    """Return the members of the `Step` that makes a new frame from the arguments of `extrapolate`. Raises GffeError for
-    invalid ones."""
+) -> Step:
+    """Return the step that makes a new frame from the arguments of `extrapolate`. Raises GffeError for invalid ones."""
     time, alpha = _checked_time(time, frames.needed.time, frames.interval)
     if camera is None:
         camera = frames.predicted_camera(alpha)
     require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
-    return {
-        "camera": camera,
-        "time": time,
-        "alpha": alpha,
-        "target_position": _checked_positions(target_position, sizes),
-        "geometry": _checked_geometry(seen_through, sizes),
-        "given": frames.rest_for(camera, target_position is not None),
-    }
+    if target_position is None and seen_through is None:  # mostly
+        return frames.step(camera, time, alpha)
+    positions, geometry = _checked_positions(target_position, sizes), _checked_geometry(seen_through, sizes)
+    return frames.step(camera, time, alpha, target_position=positions, geometry=geometry)
 
 
 def _checked_time(time: Any, after: float, interval: float) -> tuple[float, float]:

@@ -69,7 +69,7 @@ def board_of(device: Device, sizes: Sizes, options: Options, int64: bool | None)
     try:
         for stage in stages_of(options):
             stage(board)
-        board.memory.place(board.turn)
+        board.memory.place()
         _ = board.frame  # made when it is first asked for
     except BaseException:
         board.let_go()

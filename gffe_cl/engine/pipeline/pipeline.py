@@ -34,7 +34,7 @@ from gffe_cl.engine.pipeline.outputs import Outputs
 from gffe_cl.engine.pipeline.rendered_frames import RenderedFrames
 from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
 from gffe_cl.engine.pipeline.watching import Watcher
-from gffe_cl.engine.stages.base import Board, Step
+from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
@@ -114,7 +114,7 @@ class Pipeline:
         self.fps = require_frame_rate(fps, "pipeline: fps")
         forced = int64_atomics
         self._int64_atomics = None if forced is None else require_bool(forced, "pipeline: int64_atomics")
-        self._exposure = self._exposure_of_frame = 1.0
+        self._exposure = 1.0
         self.watcher: Watcher | None = None
         self.intake = Intake(device, self.sizes)
         self._begin(self.options)
@@ -125,7 +125,6 @@ class Pipeline:
         require_room(self.device, self.sizes, lambda sizes: self._allocate(sizes, options)[1])
         self.board, self._nbytes = self._allocate(self.sizes, options)
         self._made_with = options
-        self._swapping = [stage for stage in self.board.stages.values() if stage.before]
         self._use(options)
         self.frames = RenderedFrames(self.board, self.fps)
         self.display = Display(self.board, self.frames)
@@ -138,6 +137,7 @@ class Pipeline:
         self.board.scripts.clear()
         wanted = {stage.name for stage in stages_of(options)}
         self.stages: dict[str, Any] = {name: one for name, one in self.board.stages.items() if name in wanted}
+        self._correction: ShadingCorrection | None = self.stages.get(ShadingCorrection.name)
         self._outputs = Outputs(self.board, self.stages)
 
     @pipeline_call
@@ -227,11 +227,7 @@ class Pipeline:
 
     @pipeline_call
     def submit(
-        self,
-        frame: RenderedFrame,
-        *,
-        wait_for: Iterable[cl.Event | int] = (),
-        zero_copy: bool = False,
+        self, frame: RenderedFrame, *, wait_for: Iterable[cl.Event | int] = (), zero_copy: bool = False
     ) -> cl.Event:
         """Take a rendered frame and return the event that is complete when the work on it is done. Frames must come in
         order of time.
@@ -272,13 +268,10 @@ class Pipeline:
         board, frames = self.board, self.frames
         before = frames.previous, frames.current
         last = (None, frames.times, None) if frame.reset else (frames.current, frames.times, frames.shown)
-        self._exposure_of_frame = self.exposure
-        taken, shown = self.intake.take(prepared, *last, self.exposure)
-        frames.take(taken, shown, frame.reset)
-        for stage in self._swapping:
-            stage.swap()
-        board.show(frames.needed, frames.previous)
-        board.memory.place(board.turn)
+        taken, shown = self.intake.take(prepared, *last, self._exposure)
+        frames.take(taken, shown, frame.reset, self._exposure)
+        board.swap()
+        board.show(taken, frames.previous)
         worked = self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and frames.previous else False
         self.display.prepare()
@@ -290,10 +283,7 @@ class Pipeline:
 
     def _take_rendered(self) -> cl.Event | None:
         """Enqueue the stages' work on the current frame. Returns the event of `Board.perform`."""
-        frames = self.frames
-        rest = frames.rest.copy()
-        step = Step(frames.needed, frames.previous, frames.recent_times, exposure=self._exposure_of_frame, given=rest)
-        return self.board.perform(step, self.board.stages.values(), ())  # those that rest, too, for later
+        return self.board.perform(self.frames.step(), self.board.stages.values(), ())  # those that rest, too, for later
 
     def _decide_cut(self) -> None:
         """Decide whether the current frame is a cut, and work on it again as on a reset if it is."""
@@ -381,43 +371,34 @@ class Pipeline:
         intervals after it, and for arguments of other types or shapes, or events that cannot be waited for.
         """
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
-        frames, source = self.frames, self.frames.needed
+        frames = self.frames
         self._decide_cut()
-        given = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
+        step = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
         if self.watcher:
             self.watcher.before(self)
-        step = Step(source, frames.previous, frames.recent_times, exposure=self._exposure_of_frame, **given)
         self._finish()
         wait_for_all(self.device.queue, events)
         correction = self._correction
         works_beside = bool(correction and frames.previous and correction.works_beside)
         is_decided_here = correction and not correction.runs_on_device  # whether a frame is still
         is_special = target_position is not None or seen_through or self._outputs.kept or is_decided_here
-        circumstances = None if is_special else (step.given["coded"], correction and correction.asked)
+        circumstances = None if is_special else (frames.coded, correction and correction.asked)
         stages: Iterable[Any] = self.stages.values()
         if works_beside:
             stages = [stage for stage in stages if not isinstance(stage, (*INPUTS, ShadingCorrection))]
         worked = self.board.perform(step, stages, circumstances, self._outputs.keep if self._outputs.kept else None)
-        frames.rest["coded"] |= not step.given["stays"]
+        frames.note_made(step)
         if works_beside and correction:
             correction.begin(step)
-        made = self.board.frame.buffer
-        color = self._outputs.picture("extrapolated") or made["color"]
+        gae, depth, motion, dynamic, disoccluded, filled_by = self.board.frame.buffer.values()
+        color = self._outputs.picture("extrapolated") or gae
         if composition := self.intake.overlaid:
             self._finish()
             color, worked = composition.compose(color, step.alpha), None
-        shown = color, made["depth"], made["motion"], self.device, self.sizes.target
-        frame = ExtrapolatedFrame(
-            given["camera"],
-            step.time,
-            *shown,
-            step.alpha,
-            source.time,
-            **{name: made[name] for name in ("dynamic", "disoccluded", "filled_by")},
-            gae=made["color"],
-            _finish=self._unfinished,
-            _event=worked or marker(self.device.queue),
-        )
+        assert step.camera is not None
+        shown = step.camera, step.time, color, depth, motion, self.device, self.sizes.target
+        about = step.alpha, step.frame.time, dynamic, disoccluded, filled_by, gae, self._unfinished
+        frame = ExtrapolatedFrame(*shown, *about, _event=worked or marker(self.device.queue))
         if self.watcher:
             self.watcher.extrapolated(self, frame)
         return frame
@@ -427,10 +408,6 @@ class Pipeline:
         """Function that makes the final image of the last frame, if that still waits for the network; else None."""
         correction = self._correction
         return partial(self.turns.read, correction.finish) if correction and correction.is_begun else None
-
-    @property
-    def _correction(self) -> ShadingCorrection | None:
-        return self.stages.get(ShadingCorrection.name)
 
     def _settle(self) -> None:
         """Wait until a thread of the network has enqueued its kernels, which belong before all others."""

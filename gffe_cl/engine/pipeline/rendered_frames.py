@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
 from gffe_cl.engine.frame.intervals import interval_of
 from gffe_cl.engine.options import MAX_ORDER
-from gffe_cl.engine.stages.base import Board
+from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
 
@@ -16,9 +18,9 @@ class RenderedFrames:
     """The last rendered frames of a pipeline.
 
     `current` and `previous`, None after a reset, are as stages see them; `shown` is the current one with all of its
-    depth. `times` are those since the last reset, newest first, seconds, and `path` their display cameras. `rest` has
-    members of the frame block: the current frame's number, for how many intervals its camera has been the same, and
-    whether all of its colors are encoded.
+    depth. `times` are those since the last reset, newest first, seconds, and `path` their display cameras. `number`,
+    `rests` and `coded` are members of the frame block: the current frame's number, for how many intervals its camera
+    has been the same, and whether all of its colors are encoded. `exposure` is that of the current frame.
     """
 
     def __init__(self, board: Board, fps: float):
@@ -30,7 +32,8 @@ class RenderedFrames:
         self.shown: DeviceFrame | None = None
         self.times: list[float] = []
         self.path: list[Camera] = []
-        self.rest = {"number": 0, "rests": 0, "coded": 0}
+        self.number = self.rests = self.coded = 0
+        self.exposure = 1.0
 
     @property
     def needed(self) -> DeviceFrame:
@@ -46,32 +49,40 @@ class RenderedFrames:
         if self.times and time <= self.times[0]:
             raise GffeError(f"frame: time {time:g} s must be after the previous rendered frame's ({self.times[0]:g} s)")
 
-    def take(self, frame: DeviceFrame, shown: DeviceFrame, is_reset: bool) -> None:
+    def take(self, frame: DeviceFrame, shown: DeviceFrame, is_reset: bool, exposure: float) -> None:
         """Make `frame` the current one, and number it. While the camera moves, history tracking encodes all colors."""
-        self.previous, self.current, self.shown = None if is_reset else self.current, frame, shown
         if is_reset:
-            self.times, self.path = [], []
+            self.current, self.times, self.path = None, [], []
+        self.previous, self.current, self.shown, self.exposure = self.current, frame, shown, exposure
         self.times, self.path = [frame.time, *self.times[: POSES - 1]], [frame.display_camera, *self.path[: POSES - 1]]
-        rests = 0
-        if self.previous and self._options.motion and see_alike(self.previous.camera, frame.camera):
-            rests = min(self.rest["rests"] + 1, MOST_RESTS)
-        self.rest = {"number": self.rest["number"] % MOST_NUMBER + 1, "rests": rests, "coded": int(not rests)}
+        is_alike = self.previous and self._options.motion and see_alike(self.previous.camera, frame.camera)
+        self.rests = min(self.rests + 1, MOST_RESTS) if is_alike else 0
+        self.number, self.coded = self.number % MOST_NUMBER + 1, int(not self.rests)
 
     def forget(self) -> None:
         """Make the current frame one after a reset."""
         del self.times[1:], self.path[1:]
-        self.previous, self.rest["rests"] = None, 0
+        self.previous, self.rests = None, 0
 
-    def rest_for(self, camera: Camera, is_replaced: bool) -> dict[str, int]:
-        """Return `rest`, and whether points at rest stay where they are for a new `camera`: then not all colors are
-        encoded. `is_replaced`: predicted positions are the caller's."""
-        copies = self._copies and not is_replaced and self.previous is not None
-        return self.rest | {"stays": copies and see_alike(self.needed.camera, camera)}
+    def step(self, camera: Camera | None = None, time: float = 0.0, alpha: float = 0.0, **given: Any) -> Step:
+        """Return the step of the current frame or, with a `camera`, of a new one; `given`: what replaces parts of it.
+        Points at rest stay where they are for a camera that sees alike, unless predicted positions are the caller's:
+        then not all colors are encoded."""
+        stays = (
+            self._copies
+            and camera is not None
+            and self.previous is not None
+            and given.get("target_position") is None
+            and see_alike(self.needed.camera, camera)
+        )
+        rest = self.number, self.rests, stays, self.coded
+        times = self.times[: MAX_ORDER + 1]
+        return Step(self.needed, self.previous, times, camera, time, alpha, self.exposure, rest=rest, **given)
 
-    @property
-    def recent_times(self) -> list[float]:
-        """Times of the frames that stages use."""
-        return self.times[: MAX_ORDER + 1]
+    def note_made(self, step: Step) -> None:
+        """Note that a new frame was made: unless points at rest stay, all colors are encoded now."""
+        if not step.rest[2]:
+            self.coded = 1
 
     @property
     def interval(self) -> float:

@@ -25,14 +25,12 @@ Buffers = dict[str, np.ndarray]
 @dataclass
 class Reference:
     """Recorded references. `hashes` by case, moment and buffer; `values` by case and buffer, at KEPT_MOMENT; `inputs`:
-    hash of the input frames by case; `network`: output of the shading correction network in floats for an input among
-    `values`, on onnxruntime's CPU provider, and `model`, the hash of its weights."""
+    hash of the input frames by case; `model`: hash of the weights of the shading correction network."""
 
     hashes: dict[str, dict[str, dict[str, str]]] = field(default_factory=dict)
     values: dict[str, Buffers] = field(default_factory=dict)
     inputs: dict[str, str] = field(default_factory=dict)
     model: str = ""
-    network: np.ndarray | None = None
 
     def record(self, case: str, moment: str, buffers: Buffers) -> None:
         self.hashes.setdefault(case, {})[moment] = {name: digest(array) for name, array in buffers.items()}
@@ -41,8 +39,6 @@ class Reference:
 
     def save(self, path: Path) -> None:
         arrays = {f"{case}/{name}": array for case, held in self.values.items() for name, array in held.items()}
-        if self.network is not None:
-            arrays["network"] = self.network
         head = {
             "hashes": self.hashes,
             "inputs": self.inputs,
@@ -63,10 +59,8 @@ class Reference:
             array = np.frombuffer(content, kind, int(np.prod(shape)), start).reshape(shape)
             start += array.nbytes
             case, _, buffer = name.partition("/")
-            if buffer:
+            if buffer:  # earlier recordings hold one more array
                 found.values.setdefault(case, {})[buffer] = array
-            else:
-                found.network = array
         return found
 
 

@@ -11,13 +11,13 @@ from dataclasses import asdict, dataclass, field
 from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.inference.provider_check import TOLERANCE
+from gffe_cl.engine.inference.network import ON_CPU
 from gffe_cl.engine.opencl.device import DeviceInfo, list_devices, select
 from gffe_cl.engine.opencl.runtimes import driver_variables, vendors
 from gffe_cl.engine.opencl.subprocess_runner import run_child
-from gffe_cl.engine.selftest.network import providers
 from gffe_cl.engine.selftest.worker import MARK
 
+TOLERANCE = 1e-3  # of the network's output, channels of a few units, where the CPU has no fused multiply-add
 EQUAL, DIFFERS, FAILED, REFUSED = "equal", "differs", "failed", "refused"
 _PACKAGES = ("gffe-cl", "numpy", "pyopencl", "onnxruntime")
 
@@ -64,8 +64,8 @@ class DeviceResult:
 
 @dataclass
 class NetworkResult:
-    """Result of the shading correction network on a `provider`: the `largest` difference from the recorded output,
-    or the `problem` that prevented it."""
+    """Result of the shading correction network on the `provider` "cpu": the `largest` difference from the recorded
+    output, or the `problem` that prevented it."""
 
     provider: str
     largest: float | None = None
@@ -80,7 +80,7 @@ class NetworkResult:
 
 @dataclass
 class SelfTest:
-    """Results of the self-test, by device and by provider of the network."""
+    """Results of the self-test, by device, and of the network."""
 
     devices: list[DeviceResult]
     networks: list[NetworkResult]
@@ -112,7 +112,7 @@ def selftest(
     on_device: Callable[[DeviceInfo], None] = lambda info: None,
 ) -> SelfTest:
     """Run the workload on every device, or on those that `device` matches (as in `open_device`), each in a child
-    process that may take so many `seconds`, and the network on every provider of onnxruntime. Return the results.
+    process that may take so many `seconds`, and the network in onnxruntime. Return the results.
 
     `wanted` narrows the workload: lists of names of "forms" and "cases" (None: all), the last new frame as "until", and
     whether to measure "speed". Raises GffeError if no device matches.
@@ -127,7 +127,7 @@ def selftest(
     for info in chosen:
         on_device(info)
         found.append(_device(info, seconds, wanted))
-    return SelfTest(found, [_network(name, seconds) for name in providers()] if networks else [])
+    return SelfTest(found, [_network(seconds)] if networks else [])
 
 
 def _device(info: DeviceInfo, seconds: float, wanted: dict[str, Any]) -> DeviceResult:
@@ -152,9 +152,9 @@ def _device(info: DeviceInfo, seconds: float, wanted: dict[str, Any]) -> DeviceR
     return result
 
 
-def _network(provider: str, seconds: float) -> NetworkResult:
-    output, failure = run_child("gffe_cl.engine.selftest.worker", ["network", provider], seconds)
-    result = NetworkResult(provider, problem=failure)
+def _network(seconds: float) -> NetworkResult:
+    output, failure = run_child("gffe_cl.engine.selftest.worker", ["network"], seconds)
+    result = NetworkResult(ON_CPU, problem=failure)
     for told in _told(output):
         result.largest, result.problem = told.get("largest"), told.get("problem", failure)
     return result

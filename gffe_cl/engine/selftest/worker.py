@@ -1,7 +1,7 @@
-"""Child process of the self-test: the whole workload on one device, or the network on one provider.
+"""Child process of the self-test: the whole workload on one device, or the network in onnxruntime.
 
     python -m gffe_cl.engine.selftest.worker device 0:0 '{"forms": null, "cases": null, "until": null, "speed": true}'
-    python -m gffe_cl.engine.selftest.worker network cpu
+    python -m gffe_cl.engine.selftest.worker network
 
 Prints lines that begin with MARK and hold a JSON dictionary: the work in progress ("doing"), then results.
 """
@@ -17,7 +17,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.opencl.device import DeviceInfo, list_devices, open_info
-from gffe_cl.engine.selftest.network import compare_provider
+from gffe_cl.engine.selftest.network import compare_network
 from gffe_cl.engine.selftest.reference import BufferComparison, Reference, inputs_digest, recorded
 from gffe_cl.engine.selftest.scene import frames
 from gffe_cl.engine.selftest.speed import figures, speed
@@ -89,7 +89,7 @@ def run_device(index: str, wanted: dict[str, Any]) -> None:
 def main(arguments: list[str]) -> None:
     try:
         if arguments[0] == "network":
-            say(largest=compare_provider(arguments[1]))
+            say(largest=compare_network())
         else:
             run_device(arguments[1], json.loads(arguments[2]))
     except GffeError as error:

@@ -6,6 +6,7 @@ of stages and memory.
 
 from __future__ import annotations
 
+import operator
 from array import array
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -75,11 +76,11 @@ class Step:
         Replaces the result of position prediction.
     geometry : mapping of name to array
         Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
-    overlays : int
-        Overlays that the rendered frame brings: bits, in the order of `OVERLAYS`.
+    rest : tuple
+        The members number, rests, stays and coded of the frame block.
     given : mapping of name to numbers
-        Members of the frame block that do not follow from the others: those that convert an engine's buffers
-        (`conversion`), or those about cameras that rest (`Pipeline`).
+        Its other members that do not follow from the above: overlays that the rendered frame brings, or those that
+        convert an engine's buffers (`conversion`).
     """
 
     frame: DeviceFrame
@@ -91,7 +92,7 @@ class Step:
     exposure: float = 1.0
     target_position: np.ndarray | None = None
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
-    overlays: int = 0
+    rest: tuple[int, int, int, int] = (0, 0, 0, 0)
     given: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
@@ -101,7 +102,7 @@ class Step:
     def block(self, board: Board) -> array[float]:
         """Return the frame block of frame.h, as words, for the stages on `board`."""
         rendered = self.frame, self.previous, self.times, self.exposure
-        return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.overlays, self.given)
+        return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.rest, self.given)
 
 
 class Board:
@@ -128,6 +129,8 @@ class Board:
         self._shown = [object(), object()]  # by the rendered frames' bit in `turn`
         self.commands = Commands(device)
         self.scripts: dict[tuple, Script] = {}  # by what they depend on
+        # By `turn`: the turn after `swap`, and the buffers of stages then, and those of the frame before.
+        self._swapped: dict[int, tuple[int, list[tuple[Stage, dict, dict]]]] = {}
         self.blocks = FrameBlocks(self)
 
     @cached_property
@@ -147,12 +150,28 @@ class Board:
         two frames before, which the board still holds.
         """
         before, alike = self.previous if self.previous is not self.rendered else None, self._alike
-        self._alike = before is not None and all(a is b for a, b in zip(frame.buffers, before.buffers, strict=True))
+        self._alike = before is not None and all(map(operator.is_, frame.buffers, before.buffers))
         if frame is not self.rendered:
             self.turn ^= 1
         if not (previous and alike and self._alike):
             self._shown[self.turn & 1] = object()
         self.rendered, self.previous, self.shown = frame, previous or frame, self._shown[self.turn & 1]
+
+    def swap(self) -> None:
+        """Make the results of all stages those of the frame before, and place borrowed buffers, before any works on a
+        rendered frame."""
+        turn = self.turn
+        if known := self._swapped.get(turn):
+            self.turn, found = known
+            for stage, buffer, before in found:
+                stage.buffer, stage.before = buffer, before
+            return
+        held = [(stage, stage.buffer) for stage in self.stages.values() if not stage.swaps_alone]
+        for stage, _ in held:
+            stage.swap()
+        self.memory.place()
+        found = [(stage, stage.buffer, stage.before) for stage, buffer in held if stage.buffer is not buffer]
+        self._swapped[turn] = self.turn, found
 
     def perform(
         self, step: Step, stages: Iterable[Any], circumstances: tuple | None, after: Callable[[Any], None] | None = None
@@ -195,6 +214,7 @@ class Board:
             stage.let_go()
         self.stages.clear()
         self.scripts.clear()
+        self._swapped.clear()
         with self.device.opened.lock:
             self.memory.let_go()
         self.__dict__.pop("blocks", None)
@@ -228,6 +248,7 @@ class Stage(Owner):
 
     kernels: tuple[Kernel, ...] = ()
     registered = True  # whether other stages find its buffers on the board
+    swaps_alone = False  # whether it calls `swap` itself, once for each rendered frame
     builds_at_once = True  # else the stage calls `_build` before it launches anything
     needs_footprints = False  # whether it adds to the warp of footprints: a dilated warp does without
     # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
@@ -288,12 +309,11 @@ class Stage(Owner):
         return self.before[name[:-1]] if name.endswith("'") else self.buffer[name]
 
     def swap(self) -> None:
-        """Make the results those of the frame before; called for all stages before any works on a new frame."""
+        """Make the results those of the frame before."""
         if self.before:
             self.board.turn ^= self._bit
             results = {name: self.buffer[name] for name in self.before}
-            self.buffer.update(self.before)
-            self.before = results
+            self.buffer, self.before = self.buffer | self.before, results
 
     def launch(self, name: str, step: Step | None = None, **given: Any) -> None:
         """Enqueue a kernel over its grid, in rows of work-items.

@@ -7,6 +7,7 @@ from array import array
 from collections import deque
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import partial
 from typing import Any
 
 import pyopencl as cl
@@ -47,11 +48,11 @@ class Launch:
 
 @dataclass
 class Script:
-    """Commands that were enqueued for a step, to be enqueued again for later ones: calls, their arguments, and the
-    names of stage and kernel ("" for work of the host). `blocks` are the arguments that bring the frame block,
-    `of_frames` the launches whose arguments change with the rendered frames, `shown` those to which they are set."""
+    """Commands that were enqueued for a step, to be enqueued again for later ones: `calls`, which return events (None:
+    work of the host). `blocks` are the arguments that bring the frame block, `of_frames` the launches whose arguments
+    change with the rendered frames, `shown` those to which they are set."""
 
-    calls: list[tuple[Callable[..., Any], tuple, str, str]] = field(default_factory=list)
+    calls: list[Callable[[], cl.Event | None]] = field(default_factory=list)
     blocks: list[tuple[Callable[[int, Any], None], int]] = field(default_factory=list)
     of_frames: list[Launch] = field(default_factory=list)
     shown: object = None
@@ -80,29 +81,32 @@ class Commands:
         work enqueued so far is complete, because the queue works in order; None if the host worked last."""
         for set_arg, index in script.blocks:
             set_arg(index, block)
-        event, name = None, ""
-        for call, arguments, stage, name in script.calls:
-            event = call(*arguments)
-            if self._profiles and name:
-                self.events.append((stage, name, event))
+        event = None
+        for call in script.calls:
+            event = call()
         self._queue.flush()
-        return event if name else None
+        return event
 
-    def call(self, function: Callable[[], Any]) -> None:
-        """Call a function of a stage that works on the host, now and whenever the script is repeated."""
-        self._do("", "", function)
-
-    def _do(self, stage: str, name: str, call: Callable[..., Any], *arguments: Any) -> None:
-        event = call(*arguments)
-        if self._profiles and name:
-            self.events.append((stage, name, event))
+    def call(self, function: Callable[[], cl.Event | None]) -> None:
+        """Call a function, such as one of a stage that works on the host, now and whenever the script is repeated."""
+        function()
         if self.script:
-            self.script.calls.append((call, arguments, stage, name))
+            self.script.calls.append(function)
+
+    def _do(self, stage: str, name: str, call: Callable[..., cl.Event], *arguments: Any) -> None:
+        """Enqueue a command, now and whenever the script is repeated."""
+        enqueue = partial(call, self._queue, *arguments)
+        self.call(partial(self._noted, stage, name, enqueue) if self._profiles else enqueue)
+
+    def _noted(self, stage: str, name: str, enqueue: Callable[[], cl.Event]) -> cl.Event:
+        event = enqueue()
+        self.events.append((stage, name, event))
+        return event
 
     def launch(self, stage: Any, launch: Launch, given: Mapping[str, Any]) -> None:
         """Enqueue a launch of a stage; `given`: the arguments that came with it, by name."""
         enqueue, name = cl.enqueue_nd_range_kernel, launch.declared.name
-        self._do(stage.name, name, enqueue, self._queue, launch.kernel, launch.items, launch.group)
+        self._do(stage.name, name, enqueue, launch.kernel, launch.items, launch.group)
         if self.script:
             if launch.given:
                 raise TypeError(f"{stage.name}.{name}: buffers that a launch gives cannot be set again")
@@ -113,12 +117,11 @@ class Commands:
         """Enqueue setting the first texels of a stage's buffer, as many as `grid` has, to `byte`."""
         spec = stage.spec(name)
         nbytes = math.prod(stage.sizes.of(grid)) * spec.bytes_per_pixel * spec.planes
-        fill = cl.enqueue_fill_buffer
-        self._do(stage.name, "fill", fill, self._queue, stage.buffer[name], bytes([byte]), 0, nbytes)
+        self._do(stage.name, "fill", cl.enqueue_fill_buffer, stage.buffer[name], bytes([byte]), 0, nbytes)
 
     def copy(self, stage: Any, to: cl.Buffer, of: cl.Buffer) -> None:
         """Enqueue a copy between buffers of one size for a stage."""
-        self._do(stage.name, "copy", cl.enqueue_copy, self._queue, to, of)
+        self._do(stage.name, "copy", cl.enqueue_copy, to, of)
 
     def take_events(self) -> dict[str, list[tuple[str, cl.Event]]]:
         """Return kernel and event of the commands by stage since they were last taken."""

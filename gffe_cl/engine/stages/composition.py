@@ -24,6 +24,7 @@ class Composition(Stage):
     """
 
     name = "composition"
+    swaps_alone = True
     buffers = (
         BufferSpec(
             "depth", np.float32, (), "source", "depth of the rendered frame without overlays that keep place", "depth",
@@ -112,7 +113,7 @@ class Composition(Stage):
 
     def _step(self, alpha: float = 0.0) -> Step:
         brought = sum((name in self.layers) << bit for bit, name in enumerate(OVERLAYS))
-        return Step(self._given, None, [self._given.time], alpha=alpha, overlays=brought)
+        return Step(self._given, None, [self._given.time], alpha=alpha, given={"has_overlays": brought})
 
     def _ready(self, name: str, array) -> Any:
         """Return an overlay as the device takes it: the caller's buffer, or a checked array. Raises GffeError for wrong

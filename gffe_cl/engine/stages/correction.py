@@ -13,7 +13,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.inference.model_interface import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
 from gffe_cl.engine.inference.network import KernelNetwork, Network, load_network
-from gffe_cl.engine.inference.providers import CPU
+from gffe_cl.engine.inference.sessions import CPU
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
@@ -174,7 +174,7 @@ class ShadingCorrection(Stage):
     def works_beside(self) -> bool:
         """Whether the network may run in a thread of its own while the device continues (`begin`). This requires that
         they are different processors, and that no other stage needs the final image."""
-        same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU.ort
+        same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU
         is_last = next(reversed(self.board.stages.values())) is self
         return is_last and not (same or self.runs_on_device or self.works_alone)
 
@@ -246,7 +246,6 @@ class ShadingCorrection(Stage):
 
     def use(self, network: Network | KernelNetwork) -> None:
         """Set the runner of the network from now on: onnxruntime or, for a network of `layers`, the kernels."""
-        network.prepare(*reversed(self.sizes.of("network")))
         self.network = network
         self.upload("head", network.head)
         self.board.stages[Convolutions.name].use(network.layers)
@@ -277,9 +276,7 @@ class ShadingCorrection(Stage):
         self._transfers = events
         start = time.perf_counter()
         self.unusable_pixels += _IMAGE_PIXELS * self.network.run(*(view.array for view in self._views))
-        copying = self.network.copying
-        self._network_milliseconds += (time.perf_counter() - start) * 1e3 - copying
-        self._copying_milliseconds += copying
+        self._network_milliseconds += (time.perf_counter() - start) * 1e3
 
     def _close(self) -> None:
         self._transfers += [event for view in self._views for event in view.close()]

@@ -33,19 +33,17 @@ _INTEGERS = {name for name, member in (FRAME.fields or {}).items() if member[0].
 
 
 def _run(*names: str) -> tuple[Callable[..., None], int]:
-    """Return the function that packs floats into members that lie one after another, and the byte where they begin."""
+    """Return the function that packs numbers into members that lie one after another, and the byte where they begin."""
     assert all(_WORDS[a].stop == _WORDS[b].start for a, b in pairwise(names)), names
-    start, stop = _WORDS[names[0]].start, _WORDS[names[-1]].stop
-    return Struct(f"{stop - start}f").pack_into, 4 * start
+    words = (f"{_WORDS[n].stop - _WORDS[n].start}{'i' if n in _INTEGERS else 'f'}" for n in names)
+    return Struct("".join(words)).pack_into, 4 * _WORDS[names[0]].start
 
 
 _BEFORE, _DISPLAYS = _run("to_previous", "from_previous"), _run("to_render", "to_display", "to_previous_display")
 _TIMES, _PIXEL = _run("interval_ratio", "exposure", "code_offset", "camera_step"), _run("pixel_size")
 _NEW, _ZOOM = _run("to_target", "to_source", "target_to_previous"), _run("zoom")
 _LAW, _POLYNOMIAL = _WORDS["color_law"], 4 * _WORDS["polynomial"].start
-_ALPHA, _HAS_PREVIOUS, _HAS_OVERLAYS, _ORDER = (
-    _WORDS[name].start for name in ("alpha", "has_previous", "has_overlays", "order")
-)
+_STATE = _run("has_previous", "number", "rests", "stays", "coded", "order", "alpha")
 _TWO = Struct("2f")
 
 
@@ -72,8 +70,8 @@ class BlockWriter:
         camera: Camera | None,
         time: float,
         alpha: float,
-        overlays: int,
-        given: Mapping[str, Any] | None = None,
+        rest: tuple[int, int, int, int],
+        given: Mapping[str, Any],
     ) -> array[float]:
         """Return the `Frame` of frame.h, as words, of a rendered frame or, with a `camera`, of a new one. Parameters
         are those of `Step`."""
@@ -81,7 +79,8 @@ class BlockWriter:
         before = previous or frame
         cameras = frame.camera, frame.display_camera, before.camera, before.display_camera
         block = self._of_rendered(cameras, times, exposure)[:]
-        block[_ALPHA] = alpha
+        put, start = _STATE
+        put(block, start, previous is not None, *rest, order, alpha)
         if camera is not None:
             source = frame.camera
             put, start = _NEW
@@ -92,15 +91,10 @@ class BlockWriter:
             put(block, start, camera.fx / source.fx, camera.fy / source.fy)
             weights = [weight for row in _polynomial(times[: order + 1], time) for weight in row]
             pack_into(f"{len(weights)}f", block, _POLYNOMIAL, *weights)
-        integers = memoryview(block).cast("B").cast("i")
-        integers[_HAS_PREVIOUS], integers[_HAS_OVERLAYS], integers[_ORDER] = previous is not None, overlays, order
-        for name, numbers in (given or {}).items():
-            words, start = integers if name in _INTEGERS else block, _WORDS[name].start
-            if type(numbers) is not tuple:  # mostly
-                words[start] = numbers
-                continue
-            for k, number in enumerate(numbers):
-                words[start + k] = number
+        for name, numbers in given.items():
+            words = memoryview(block).cast("B").cast("i") if name in _INTEGERS else block
+            for k, number in enumerate(numbers if isinstance(numbers, tuple) else (numbers,)):
+                words[_WORDS[name].start + k] = number
         return block
 
     def _of_rendered(self, cameras: tuple[Camera, ...], times: Sequence[float], exposure: float) -> array[float]:

@@ -96,6 +96,8 @@ class FarSide(Downsampled):
                 "codes": "color_code.codes",
                 "disoccluded": "frame.disoccluded",
                 "filled_by": "frame.filled_by",
+                "color_prev": "previous.color",
+                "depth_prev": "previous.depth",
             }
             | _IMAGE,
             {

@@ -45,7 +45,6 @@ class LentMemory:
         self.lent: dict[Lent, int] = {}  # the work (see `_use`) after which memory is free
         self._sizes, self._stages = sizes, stages
         self._parts: list[cl.Buffer] = []  # in the order in which they were made
-        self._placed: dict[int, list[tuple[dict, str, cl.Buffer]]] = {}  # by turn: who has which part
 
     def part(self, whole: cl.Buffer, start: int, nbytes: int) -> cl.Buffer:
         """Return the part of a buffer that begins at byte `start`. It is released by `let_go`, whoever still has it:
@@ -58,21 +57,19 @@ class LentMemory:
         """Lend the buffer `name` of `stage`, after `submit` or, `at_once`, after its own work there."""
         self.lent[stage, name] = list(self._stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
 
-    def place(self, turn: int) -> None:
+    def place(self) -> None:
         """Give every borrowed buffer its place in lent memory, or memory of its own if none is lent. Call it once all
-        stages exist, and after every swap. `turn`: `Board.turn`, by which lent memory is known again."""
-        if known := self._placed.get(turn):
-            for buffers, name, part in known:
-                buffers[name] = part
-            return
+        stages exist, and after every swap, which moves what lies in memory of the frame before."""
         for stage, spec in self.borrowing:
-            if place := self.places[stage.name, spec.name]:
+            place = self.places[stage.name, spec.name]
+            if spec.name in stage.buffer and not (place and place[0][1].endswith("'")):
+                continue
+            if place:
                 (owner, name), start = place
-                stage.buffer[spec.name] = self.part(owner.own(name), start, spec.nbytes(self._sizes))
-            elif spec.name not in stage.buffer:
-                stage.buffer |= stage.allocate([spec])
-        lent = [(stage, spec.name) for stage, spec in self.borrowing if self.places[stage.name, spec.name]]
-        self._placed[turn] = [(stage.buffer, name, stage.buffer[name]) for stage, name in lent]
+                given = {spec.name: self.part(owner.own(name), start, spec.nbytes(self._sizes))}
+            else:
+                given = stage.allocate([spec])
+            stage.buffer = stage.buffer | given
 
     @cached_property
     def places(self) -> dict[tuple[str, str], tuple[Lent, int] | None]:
@@ -106,7 +103,7 @@ class LentMemory:
 
     def let_go(self) -> None:
         """Drop the references to the stages, and release the parts of buffers."""
-        for known in (self.borrowing, self.lent, self._placed, self.__dict__.get("places", {})):
+        for known in (self.borrowing, self.lent, self.__dict__.get("places", {})):
             known.clear()
         while self._parts:
             self._parts.pop().release()

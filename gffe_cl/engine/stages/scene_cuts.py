@@ -40,11 +40,11 @@ class SceneCuts(Stage):
 
     def __init__(self, board: Board):
         super().__init__(board)
-        # World units that the camera moved to the last frame; None after a reset.
+        # World units that the camera moved to the last frame that was asked about; None after a reset.
         self._camera_step: float | None = None
-        self._counts = array("i", bytes(4 * CUT_SAMPLES[1] * len(COUNTED)))
+        rows = self.sizes.of("cut_samples")[1]
+        self._counts = array("i", bytes(4 * rows * len(COUNTED)))  # NumPy would take longer to add up so few
         self._counted: cl.Event | None = None  # complete when the counts are known; None: they do not count
-        self._jumped = False
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
@@ -64,23 +64,21 @@ class SceneCuts(Stage):
 
     def _read(self) -> None:
         """Begin to copy the counts at once."""
-        frame, previous, before = self.board.rendered, self.board.previous, self._camera_step
-        assert frame and previous  # as samples of both are counted
-        self._camera_step = distance(frame.camera, previous.camera)
-        self._jumped = before is not None and self._camera_step > TELEPORT * before
         self._counted = cl.enqueue_copy(self.device.queue, self._counts, self.buffer["counts"], is_blocking=False)
         self.device.queue.flush()
 
     def is_cut(self) -> bool:
-        """Return whether the last rendered frame must be treated as a reset. Waits until its samples are counted: they
-        are the first work on the frame."""
+        """Return whether the last rendered frame must be treated as a reset. Ask once for each. Waits until its samples
+        are counted: they are the first work on the frame."""
         if self._counted is None:
             return False
         self._counted.wait()
-        self._counted = None
-        each = len(COUNTED)
-        counts = self._counts[: each * self.sizes.of("cut_samples")[1]]
-        return counts_say_cut({name: sum(counts[k::each]) for k, name in enumerate(COUNTED)}, self._jumped)
+        frame, previous, before = self.board.rendered, self.board.previous, self._camera_step
+        assert frame and previous  # as samples of both were counted
+        self._counted, self._camera_step = None, distance(frame.camera, previous.camera)
+        jumped = before is not None and self._camera_step > TELEPORT * before
+        counts = {name: sum(self._counts[k :: len(COUNTED)]) for k, name in enumerate(COUNTED)}
+        return counts_say_cut(counts, jumped)
 
 
 def counts_say_cut(counts: dict[str, int], jumped: bool = False) -> bool:

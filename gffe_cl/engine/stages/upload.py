@@ -10,6 +10,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays
+from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RENDERED, XY, BufferSpec, DeviceFrame
 from gffe_cl.engine.stages.host_view import pinned_array
@@ -18,6 +19,7 @@ _MOST_BYTES = 28  # per pixel: color float × 4, depth float, motion float × 2
 _PLACES = 2  # that the host fills in turn
 
 _KINDS = len(fields(BadPixels))
+_TYPES = constants("upload.cl")
 
 
 class Upload(Stage):
@@ -63,7 +65,7 @@ class Upload(Stage):
                 {"color": "rendered.color", "bad_pixels": "upload.bad_pixels"},
                 step=("LANES", 1),
             )
-            for name in ("take_floats", "take_halves", "convert_color")
+            for name in ("take_color", "convert_color")
         ),
         *(
             Kernel(
@@ -198,8 +200,10 @@ class Upload(Stage):
         return array.ctypes.data % self.device.alignment == 0
 
     def _take_color(self, color: np.ndarray, given: cl.Buffer, start: int, made: cl.Buffer) -> None:
-        kernel = "take_halves" if color.dtype == np.float16 else "take_floats"
-        self.launch(kernel, **self._size, given=given, start=start, channels=color.shape[2], color=made)
+        kind = _TYPES[color.dtype.name.upper()]
+        self.launch(
+            "take_color", **self._size, given=given, start=start, type=kind, channels=color.shape[2], color=made
+        )
         self.copied_bytes += made.size
 
     def _take_geometry(self, places: Mapping[str, tuple[cl.Buffer, int]], frame: DeviceFrame) -> None:

@@ -63,7 +63,8 @@ class UserInterface(Stage):
             cl.enqueue_copy(self.device.queue, self.buffer["mask"], given)
             given = self.buffer["mask"]
         before = previous or frame
-        step = Step(frame, previous, [frame.time], exposure=exposure, overlays=given is not None)
+        brought = {"has_overlays": given is not None}
+        step = Step(frame, previous, [frame.time], exposure=exposure, given=brought)
         self.launch(
             "count_evidence", step, color=frame.color, color_prev=before.color, depth=frame.depth,
             depth_prev=before.depth, motion=frame.motion,

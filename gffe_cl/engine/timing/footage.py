@@ -58,10 +58,6 @@ class FrameLoop:
             yield Turn(index, frame, None if frame.reset else before, self.cameras[index], counts)
             before, done, k = frame, done + counts, k + 1
 
-    def turn_count(self, counted: int) -> int:
-        """Return how many turns `turns` yields."""
-        return sum(1 for _ in self.turns(counted))
-
     def part(self, width: int, height: int, center: tuple[float, float]) -> FrameLoop:
         """Return the loop of a part of the images, of at most that size, around `center` (shares of width and
         height); its frames are host arrays."""

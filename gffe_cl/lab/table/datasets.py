@@ -36,6 +36,7 @@ from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.lab.compare import NO_HISTORY
+from gffe_cl.lab.table.image_space import pixel_centers
 from gffe_cl.lab.table.windows import chooser_of, rendered_size
 
 _MOST_KEPT = 3 << 30  # bytes of footage that stay in memory
@@ -417,7 +418,7 @@ def turning(scene: Scene, rate: float, half: float) -> Scene:
 def _positions(future) -> np.ndarray:
     """Return `target_position` (H, W, 4) float32 of every fragment, of a rendering whose `other` is the target."""
     position = np.zeros((*future.depth.shape, 4), np.float32)
-    position[..., :2] = _centers(*future.depth.shape) + future.motion
+    position[..., :2] = pixel_centers(*future.depth.shape) + future.motion
     position[..., 2] = future.other_position[..., 2]
     position[~np.isfinite(position[..., :2]).all(-1)] = (0, 0, -1, 0)
     return position
@@ -428,15 +429,10 @@ def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: 
     `depth`."""
     static_px, _ = other.project(_world(camera, depth))
     with np.errstate(invalid="ignore"):
-        off = np.linalg.norm(motion + _centers(*depth.shape) - static_px, axis=-1)
+        off = np.linalg.norm(motion + pixel_centers(*depth.shape) - static_px, axis=-1)
     return (off > _MOVES) & np.isfinite(depth)
-
-
-def _centers(height: int, width: int) -> np.ndarray:
-    y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
-    return np.stack([x, y], -1)
 
 
 def _world(camera: Camera, depth: np.ndarray) -> np.ndarray:
     """Return the world positions (H, W, 3) of pixels; sky is put very far away."""
-    return camera.unproject(_centers(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))
+    return camera.unproject(pixel_centers(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))

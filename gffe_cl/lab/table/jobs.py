@@ -6,7 +6,8 @@ import io
 import math
 import statistics
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field, replace
 from functools import lru_cache
 
@@ -141,7 +142,7 @@ def _measure(
     number = 0
     for shot in footage.shots(method.window):
         given = shot if isinstance(runner, PipelineRunner) else at_full_size(shot)
-        with clock.submitting():
+        with _lap(clock.submits):
             runner.submit(given)
         if not shot.moments:
             flicker.cut()
@@ -157,7 +158,7 @@ def _measure(
                 upscaled.append({"rendered_psnr": psnr(*pair), "rendered_ssim": ssim(*pair)})
         for moment in shot.moments:
             _finish(runner)
-            with clock.making():
+            with _lap(clock.makes):
                 color = runner.make(moment)
             shown, truth = (to_display(c, footage.exposure) for c in (color, moment.truth))
             one = RegionErrors()
@@ -211,45 +212,37 @@ def _videos(names: Iterable[str], frames: list[tuple], footage: Footage) -> tupl
     return figures, skipped
 
 
+@dataclass
 class _Clock:
-    """Times of submitting a rendered frame and making a new one, milliseconds of wall time and of kernels."""
+    """Milliseconds of wall time of submitting a rendered frame, and of making a new one."""
 
-    def __init__(self):
-        self._submits, self._makes = [], []
-
-    def submitting(self):
-        return _Lap(self._submits)
-
-    def making(self):
-        return _Lap(self._makes)
+    submits: list[float] = field(default_factory=list)
+    makes: list[float] = field(default_factory=list)
 
     def timing(self, footage: Footage, runner, device: str | None) -> dict:
         """Return medians for one rendered frame with one new one, and bytes per pixel: time × bandwidth ÷ pixels."""
-        wall = _median(self._submits[1:]) + _median(self._makes[1:])
-        timing = {"machine": machine_of(device), "wall": wall, "submit": _median(self._submits[1:])}
-        milliseconds, timing["of"] = wall, "wall time"
+        submit = _median(self.submits[1:])
+        wall = milliseconds = submit + _median(self.makes[1:])
+        of = "wall time"
         if isinstance(runner, DeviceRunner):
-            pairs = runner.milliseconds
-            milliseconds, timing["of"] = _median(pairs[1:]), "kernels and network"
+            milliseconds, of = _median(runner.milliseconds[1:]), "kernels and network"
         bandwidth = _bandwidth(device)
-        pixels = footage.width * footage.height
-        timing |= {
+        figures = {
+            "wall": wall,
+            "submit": submit,
             "milliseconds": milliseconds,
             "bandwidth": bandwidth,
-            "bytes_per_pixel": milliseconds * bandwidth * 1e6 / pixels,
+            "bytes_per_pixel": milliseconds * bandwidth * 1e6 / (footage.width * footage.height),
         }
-        return {name: _number(value) if isinstance(value, float) else value for name, value in timing.items()}
+        return {"machine": machine_of(device), "of": of} | {name: _number(value) for name, value in figures.items()}
 
 
-class _Lap:
-    def __init__(self, into: list[float]):
-        self._into = into
-
-    def __enter__(self):
-        self._start = time.perf_counter()
-
-    def __exit__(self, *_):
-        self._into.append(1e3 * (time.perf_counter() - self._start))
+@contextmanager
+def _lap(into: list[float]) -> Iterator[None]:
+    """Append the milliseconds that the block takes."""
+    start = time.perf_counter()
+    yield
+    into.append(1e3 * (time.perf_counter() - start))
 
 
 def _finish(runner) -> None:

@@ -149,6 +149,10 @@ def _remap(name: str, cubic: bool) -> Method:
     return _library(name, title, "cv2", "opencv", lambda footage: libraries.Remapped(cubic))
 
 
+def _baseline(name: str, title: str, make: Callable[[Footage], Runner], *needs: str) -> Method:
+    return Method(name, title, "baseline", needs=frozenset(needs), make=make)
+
+
 def _window(name: str, title: str, mode: str) -> Method:
     return _gffe(f"window-{name}", title, "window", mode, shading_correction=False)
 
@@ -210,7 +214,7 @@ _ALL = (
         pipelines=TrueMotion,
     ),
     _gffe("ui-detection", "a user interface in the color is found and kept in place", "interface", ui_detection=True),
-    Method("repeat", "repeat the last frame", "baseline", make=lambda footage: baselines.Repeat()),
+    _baseline("repeat", "repeat the last frame", lambda footage: baselines.Repeat()),
     _gffe(
         "static-reprojection",
         "static reprojection (depth and camera only)",
@@ -230,34 +234,24 @@ _ALL = (
         package=("cv2", "opencv"),
         make=lambda footage: baselines.OpticalFlow(footage.exposure),
     ),
-    Method(
-        "motion-vectors",
-        "motion vectors in image space, linear",
-        "baseline",
-        make=lambda footage: baselines.MotionVectors(1),
-    ),
-    Method(
-        "motion-vectors-2",
-        "motion vectors in image space, quadratic",
-        "baseline",
-        make=lambda footage: baselines.MotionVectors(2),
+    _baseline("motion-vectors", "motion vectors in image space, linear", lambda footage: baselines.MotionVectors(1)),
+    _baseline(
+        "motion-vectors-2", "motion vectors in image space, quadratic", lambda footage: baselines.MotionVectors(2)
     ),
     Method(
         DILATE_SPLAT, "motion vectors, dilated and splatted, bilinear, in OpenCL", "baseline", on_device=DilateSplat
     ),
-    Method(
+    _baseline(
         "guided",
         "extrapolation guided by G-buffers of the new frame",
-        "baseline",
-        needs=frozenset({"guide"}),
-        make=lambda footage: baselines.GuidedExtrapolation(),
+        lambda footage: baselines.GuidedExtrapolation(),
+        "guide",
     ),
-    Method(
+    _baseline(
         "interpolation",
         "interpolation with the next frame (adds latency)",
-        "baseline",
-        needs=frozenset({"following"}),
-        make=lambda footage: baselines.Interpolation(),
+        lambda footage: baselines.Interpolation(),
+        "following",
     ),
     _remap("remap-bilinear", cubic=False),
     _remap("remap-cubic", cubic=True),

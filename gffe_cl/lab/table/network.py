@@ -11,14 +11,13 @@ and the bottom by repeating the border to multiples of 32 (or to a size that the
 
 from __future__ import annotations
 
-import hashlib
 from pathlib import Path
 
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
-from gffe_cl.engine.inference.providers import NetworkError, one_line, open_session
+from gffe_cl.engine.inference.sessions import NetworkError, one_line, open_session
 from gffe_cl.lab.table.datasets import Moment, Shot
 
 _MULTIPLE = 32
@@ -53,11 +52,6 @@ class OnnxModel:
         self.frames, self.interpolates = channels // 3, "next" in shapes
         self._timestep = [n if isinstance(n, int) else 1 for n in shapes["timestep"]] if "timestep" in shapes else None
         self._fixed = [n if isinstance(n, int) else None for n in shapes["previous"][2:]]
-
-    @property
-    def identity(self) -> str:
-        """Hash of the model's file."""
-        return hashlib.sha256(self.path.read_bytes()).hexdigest()
 
     def run(self, previous: list[np.ndarray], following: np.ndarray | None, alpha: float) -> np.ndarray:
         """Return the display values (H, W, 3) of the new frame. `previous`: display values (H, W, 3) of as many

@@ -3,8 +3,10 @@ where they cannot run."""
 
 from __future__ import annotations
 
+import importlib
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 
@@ -26,20 +28,11 @@ class VideoMetric:
     generated_only: bool = False
 
 
-def _fov_video_vdp(shown, truth, fps) -> float:
-    import pyfvvdp  # pyright: ignore[reportMissingImports]  # an extra
-
-    metric = pyfvvdp.fvvdp(display_name="standard_fhd", heatmap=None)
-    value, _ = metric.predict(_volume(shown), _volume(truth), dim_order="FHWC", frames_per_second=fps)
-    return float(value)
-
-
-def _color_video_vdp(shown, truth, fps) -> float:
-    import pycvvdp  # pyright: ignore[reportMissingImports]  # an extra
-
-    metric = pycvvdp.cvvdp(display_name="standard_fhd", heatmap=None)
-    value, _ = metric.predict(_volume(shown), _volume(truth), dim_order="FHWC", frames_per_second=fps)
-    return float(value)
+def _difference(package: str, metric: str, shown, truth, fps) -> float:
+    """Return the figure of a metric of that package, in just-objectionable differences."""
+    made = getattr(importlib.import_module(package), metric)(display_name="standard_fhd", heatmap=None)
+    volumes = (np.stack(images).astype(np.float32) for images in (shown, truth))
+    return float(made.predict(*volumes, dim_order="FHWC", frames_per_second=fps)[0])
 
 
 def _lpips(shown, truth, fps) -> float:
@@ -58,8 +51,8 @@ def _lpips(shown, truth, fps) -> float:
 VIDEO_METRICS = {
     metric.name: metric
     for metric in (
-        VideoMetric("fvvdp", "FovVideoVDP", _fov_video_vdp, "JOD"),
-        VideoMetric("cvvdp", "ColorVideoVDP", _color_video_vdp, "JOD"),
+        VideoMetric("fvvdp", "FovVideoVDP", partial(_difference, "pyfvvdp", "fvvdp"), "JOD"),
+        VideoMetric("cvvdp", "ColorVideoVDP", partial(_difference, "pycvvdp", "cvvdp"), "JOD"),
         VideoMetric("lpips", "LPIPS", _lpips, digits=4, higher_is_better=False, generated_only=True),
     )
 }
@@ -76,7 +69,3 @@ def measured_or_reason(
     except Exception as error:  # whatever other people's packages throw: weights that cannot be fetched, above all
         text = " ".join(str(error).split())[:160] or type(error).__name__
         return None, f"{metric.label} cannot run here: {text}"
-
-
-def _volume(images: list[np.ndarray]) -> np.ndarray:
-    return np.stack(images).astype(np.float32)

@@ -170,23 +170,21 @@ def make_clips(
     seed: int,
     count: int,
     on_clip: Callable[[bool], None] = lambda made: None,
-    part: tuple[int, int] = (0, 1),
     until: float | None = None,
     least: int = 0,
 ) -> int:
     """Make the missing clips of 0 … count − 1 in `folder`, and return the number made.
 
-    Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. `part` (i, n): only every n-th,
-    from i on. Nothing more is begun when `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart.
-    `on_clip` is called after each with whether it was made; otherwise it was there already. Raises GffeError
+    Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. Nothing more is begun when
+    `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart. `on_clip` is called after each with whether
+    it was made; otherwise it was there already. Raises GffeError
     where nothing can be written.
     """
-    indices = range(part[0], count, part[1])
     made = 0
     try:
         folder.mkdir(parents=True, exist_ok=True)
-        missing = [k for k in indices if not clip_path(folder, seed, k).with_suffix(".json").exists()]
-        for _ in range(len(indices) - len(missing)):
+        missing = [k for k in range(count) if not clip_path(folder, seed, k).with_suffix(".json").exists()]
+        for _ in range(count - len(missing)):
             on_clip(False)
         for index in missing:
             if index >= least and until is not None and time.monotonic() > until:

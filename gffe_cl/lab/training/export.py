@@ -12,6 +12,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import onnx
 import torch
 
 from gffe_cl.engine.core.errors import GffeError
@@ -25,9 +26,8 @@ from gffe_cl.engine.inference.model_interface import (
     head_weights,
     shapes_at,
 )
-from gffe_cl.engine.inference.providers import open_session
+from gffe_cl.engine.inference.sessions import open_session
 from gffe_cl.engine.stages.shading_trend import TREND_PLANES
-from gffe_cl.lab.training.channels import pad_file
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork
 from gffe_cl.lab.training.quantization import rounded_weights, store_integers
 
@@ -68,7 +68,9 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = 
             )
         if integers:
             store_integers(part)
-        pad_file(part, part, {HEAD: head_text(network.head_weights())})
+        model = onnx.load(str(part))
+        model.metadata_props.add(key=HEAD, value=head_text(network.head_weights()))
+        onnx.save(model, str(part))
         largest, mean = differences(network, part)
         difference, most = (mean, INTEGER_TOLERANCE) if integers else (largest, TOLERANCE)
         if not difference <= most:
@@ -91,8 +93,6 @@ def example_inputs(height: int, width: int) -> dict[str, torch.Tensor]:
 def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
     """Return the weights in a network that `export_onnx` wrote: of the convolutions, by the names of their parameters,
     and of the head. Raises GffeError."""
-    import onnx
-
     try:
         model = onnx.load(str(path))
         weights = {item.name: onnx.numpy_helper.to_array(item) for item in model.graph.initializer}
@@ -111,9 +111,9 @@ def differences(network: ShadingCorrectionNetwork, path: Path) -> tuple[float, f
     found = []
     for height, width in ((2 * MULTIPLE, 3 * MULTIPLE), (5 * MULTIPLE, MULTIPLE)):
         inputs = example_inputs(height, width)
-        (onnx,) = session.run(None, {name: value.numpy() for name, value in inputs.items()})
+        (made,) = session.run(None, {name: value.numpy() for name, value in inputs.items()})
         with torch.no_grad():
-            found.append((onnx - network.convolutions(*inputs.values()).numpy()).ravel())
+            found.append((made - network.convolutions(*inputs.values()).numpy()).ravel())
     difference = np.concatenate(found)
     return float(np.abs(difference).max()), float(np.sqrt((difference**2).mean()))
 

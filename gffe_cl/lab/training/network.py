@@ -77,10 +77,7 @@ class _Doubled(nn.Module):
 
 class ConvolutionLayers(nn.Module):
     """The convolutions of the network, stored in the ONNX file. `forward(frames, candidates)` returns the judgement,
-    (N, 20, h/2, w/2), see `ShadingCorrectionNetwork`.
-
-    Every convolution has a multiple of four input channels: WebGPU's provider computes others wrongly.
-    """
+    (N, 20, h/2, w/2), see `ShadingCorrectionNetwork`."""
 
     def __init__(self):
         super().__init__()

@@ -1,4 +1,4 @@
-"""Training of the shading correction network: resumable, on a CPU, a GPU or several (`gffe train`)."""
+"""Training of the shading correction network: resumable, on a CPU or a GPU (`gffe train`)."""
 
 from __future__ import annotations
 
@@ -12,13 +12,11 @@ import time
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
 from dataclasses import asdict, dataclass
-from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
-import torch.distributed as distributed
 from torch import Tensor, nn
 
 from gffe_cl.engine.core.errors import GffeError
@@ -45,7 +43,7 @@ _CALIBRATION_STEPS = 24
 class Recipe:
     """Recipe of a training: everything that determines the result, except the data.
 
-    Learning rates are the paper's (appendix, 'Training'); a step takes `batch` crops, in all processes together.
+    Learning rates are the paper's (appendix, 'Training'); a step takes `batch` crops.
     `shading` is how often crops get moving shading (`Augmentation`). `blend_weight` weights the error of the frame as
     it is shown, which the paper's reconstruction loss, with the ground truth in place of the GAE frame, does not
     contain. Full resolution, where the network's output is composed, is needed for its `keep` only, and takes more than
@@ -94,43 +92,6 @@ class Progress:
 
     step: int
     terms: dict[str, float]
-
-
-class Processes:
-    """This process among those that torchrun started; alone without it."""
-
-    def __init__(self):
-        self.count, self.rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
-        cuda, local = torch.cuda.is_available(), int(os.environ.get("LOCAL_RANK", 0))
-        self.device = torch.device("cuda", local) if cuda else torch.device("cpu")
-        if cuda:
-            if local >= torch.cuda.device_count():
-                raise GffeError(f"training: process {local} on a machine of {torch.cuda.device_count()} GPUs")
-            torch.cuda.set_device(self.device)
-        if self.count > 1 and not distributed.is_initialized():
-            # Processes wait for the slowest one's clips.
-            distributed.init_process_group("nccl" if cuda else "gloo", timeout=timedelta(hours=12))
-
-    @property
-    def first(self) -> bool:
-        return self.rank == 0
-
-    def any(self, flag: bool) -> bool:
-        """Return whether the flag is set in any process."""
-        if self.count == 1:
-            return flag
-        flags = torch.tensor(float(flag), device=self.device)
-        distributed.all_reduce(flags)
-        return flags.item() > 0
-
-    def wrap(self, model: nn.Module) -> nn.Module:
-        if self.count == 1:
-            return model
-        return nn.parallel.DistributedDataParallel(model, [self.device] if self.device.type == "cuda" else None)
-
-    def close(self) -> None:
-        if self.count > 1 and distributed.is_initialized():
-            distributed.destroy_process_group()
 
 
 def loss_terms(
@@ -186,20 +147,14 @@ class Training:
         folder: Path,
         recipe: Recipe,
         crops: list[Crop],
-        processes: Processes,
         vgg: Path | None = None,
         clips: int = 0,
         start: Path | None = None,
     ):
-        if recipe.batch % processes.count:
-            raise GffeError(
-                f"training: batch must be a multiple of the number of processes, got {recipe.batch}"
-                f" and {processes.count}"
-            )
-        self.folder, self.recipe, self.processes = Path(folder), recipe, processes
+        self.folder, self.recipe = Path(folder), recipe
         validation, train = split_crops(crops, recipe.seed)
         self.crops, self.validation = keep_crops(train, recipe.seed), validation
-        self.device = processes.device
+        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
         self.reader = CropReader(self.device)
         torch.manual_seed(recipe.seed)
         self.network = ShadingCorrectionNetwork()
@@ -211,7 +166,6 @@ class Training:
             quantize(self.network.convolutions, self._seen_by_convolutions(self.teacher))
         convert: Any = self.network.to  # the stub lacks this form of it
         self.network = convert(self.device, memory_format=torch.channels_last)
-        self.parallel = processes.wrap(self.network)
         self.optimizer = torch.optim.Adam(self.network.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
         self.step, self.seconds, self.sources = 0, 0.0, []
@@ -221,7 +175,6 @@ class Training:
             "data version": VERSION,
             "losses": losses.VERSION,
             "perceptual loss": self.perceptual.name,
-            "processes": processes.count,
             "start": hashlib.sha256(start.read_bytes()).hexdigest()[:12] if start else "nothing",
         }
         self._load()
@@ -242,7 +195,7 @@ class Training:
         """
         started = saved = time.monotonic()
         spent = self.seconds
-        log = _Log(self.folder, self.step) if self.processes.first else None
+        log = _Log(self.folder, self.step)
         whole = True  # between two steps
         try:
             with _signals() as received:
@@ -252,16 +205,15 @@ class Training:
                     if now - saved > _CHECKPOINT_SECONDS:
                         self.save()
                         saved = now
-                    if self.processes.any(bool(received) or (until is not None and now > until)):
+                    if received or (until is not None and now > until):
                         break
                     whole = False
                     halved, terms = self._train_step()
                     self.step += 1
                     whole = True
-                    if log:
-                        log.add("train" if halved else "train, full resolution", terms, self.step)
-                        if self.validation and (self.step % validate_every == 0 or self.step == self.recipe.steps):
-                            log.write("validation", self.validate(), self.step)
+                    log.add("train" if halved else "train, full resolution", terms, self.step)
+                    if self.validation and (self.step % validate_every == 0 or self.step == self.recipe.steps):
+                        log.write("validation", self.validate(), self.step)
                     on_step(Progress(self.step, terms))
             if received:
                 raise KeyboardInterrupt(f"step {self.step} is kept in {self.folder}")
@@ -269,20 +221,19 @@ class Training:
             if whole:
                 self.seconds = spent + time.monotonic() - started
                 self.save()
-            if log:
-                log.close()
+            log.close()
         return self.step >= self.recipe.steps
 
     def _train_step(self) -> tuple[bool, dict[str, float]]:
         """Train one step, and return whether it was at half resolution, and the terms of its loss."""
-        recipe, processes = self.recipe, self.processes
+        recipe = self.recipe
         halved = (self.step + 1) % recipe.full_every != 0
         batch = self._batch(self.step, halved)
         for group in self.optimizer.param_groups:
             group["lr"] = recipe.learning_rate_at(self.step)
-        self.parallel.train()
+        self.network.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
-            correction, likely = self.parallel(*self._inputs(batch))
+            correction, likely = self.network(*self._inputs(batch))
         taught_by = self.teacher(*self._inputs(batch)) if self.teacher else None
         terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual, taught_by)
         factors = weights(recipe)
@@ -290,7 +241,7 @@ class Training:
         self.optimizer.zero_grad()
         loss.backward()
         length = nn.utils.clip_grad_norm_(self.network.parameters(), 1.0)
-        if processes.any(not math.isfinite(length)):
+        if not math.isfinite(length):
             raise GffeError(
                 f"training: the loss is not finite at step {self.step} (expected a lower learning rate; the last"
                 " checkpoint is kept)"
@@ -300,7 +251,7 @@ class Training:
 
     def _batch(self, step: int, halved: bool) -> Batch:
         """Return the augmented crops of a step."""
-        generator = torch.Generator(self.device).manual_seed(_mixed(self.recipe.seed, step, self.processes.rank))
+        generator = torch.Generator(self.device).manual_seed(_mixed(self.recipe.seed, step))
         return Augmentation(generator, self.recipe.shading)(self.reader.batch(self._chosen(step), halved))
 
     def _inputs(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
@@ -309,13 +260,12 @@ class Training:
         return frames, batch.alpha, trends
 
     def _chosen(self, step: int) -> list[Crop]:
-        """Return this process's share of the crops of a step: every crop once per epoch, in the process's own order."""
+        """Return the crops of a step: every crop once per epoch."""
         recipe, count = self.recipe, len(self.crops)
-        share = recipe.batch // self.processes.count
-        first = step * recipe.batch + self.processes.rank * share
+        first = step * recipe.batch
         orders: dict[int, np.ndarray] = {}
         chosen = []
-        for k in range(first, first + share):
+        for k in range(first, first + recipe.batch):
             epoch = k // count
             if epoch not in orders:
                 orders[epoch] = np.random.default_rng([recipe.seed, 4, epoch]).permutation(count)
@@ -381,8 +331,6 @@ class Training:
 
     def save(self) -> None:
         """Write the checkpoint. If that fails, the one before stays."""
-        if not self.processes.first:
-            return
         state = {
             "format": _FORMAT,
             "conditions": self.conditions,
@@ -505,5 +453,5 @@ def _readable(path: Path):
         raise GffeError(f"{path}: not a checkpoint of this program ({type(error).__name__})") from None
 
 
-def _mixed(seed: int, step: int, rank: int) -> int:
-    return int(np.random.SeedSequence([seed, step, rank]).generate_state(1)[0])
+def _mixed(seed: int, step: int) -> int:
+    return int(np.random.SeedSequence([seed, step, 0]).generate_state(1)[0])

@@ -130,7 +130,7 @@ def test_header_camera(position, direction, cx, fx, transposed, mirrored):
         camera = Camera(np.diag([-1.0, 1, 1, 1]) @ camera.world_to_view, *camera.intrinsics)
     matrices = camera_attributes(camera, W, H)
     part = ExrPart(data_window=(0, 0, W - 1, H - 1), display_window=(0, 0, W - 1, H - 1))
-    part.matrices = {k: ("m44d", np.float64(m.T if transposed else m).tobytes()) for k, m in matrices.items()}
+    part.matrices = {k: np.float64(m.T if transposed else m) for k, m in matrices.items()}
     for back in header_cameras(part):
         np.testing.assert_allclose(back.world_to_view, camera.world_to_view, atol=2e-4)
         np.testing.assert_allclose(back.intrinsics, camera.intrinsics, rtol=1e-3, atol=2e-2)

@@ -1,4 +1,4 @@
-"""Running the network: what onnxruntime writes, and what is said of a network that fails."""
+"""Running the network: who runs it, what onnxruntime writes, and what is said of a network that fails."""
 
 import os
 import subprocess
@@ -6,10 +6,13 @@ import sys
 
 import numpy as np
 import pytest
-from scn_models import constant_model
+import tiny_sequence
+from scn_models import constant_model, look_model
 
+from gffe_cl.engine.inference import network as inference
+from gffe_cl.engine.inference import sessions
 from gffe_cl.engine.inference.model_interface import shapes_at
-from gffe_cl.engine.inference.network import load_network
+from gffe_cl.engine.inference.network import NetworkError, load_network
 
 LOADS = "from gffe_cl.engine.inference.network import load_network; load_network({!r}).session.get_inputs()"
 
@@ -36,3 +39,40 @@ def test_output_that_is_not_finite_is_counted(tmp_path, bad):
     assert model.run(frames, candidates, judgement) == 8 * 16
     sound = load_network(constant_model(tmp_path / "n.onnx", judgement=[3e38] * 20))
     assert sound.run(frames, candidates, judgement) == 0
+
+
+def test_there_are_two_providers(tmp_path):
+    with pytest.raises(NetworkError, match=r"provider 'cuda' is not available \(there is: auto, opencl, cpu\)"):
+        load_network(look_model(tmp_path / "m.onnx"), "cuda")
+
+
+def test_kernels_run_the_network_where_onnxruntime_is_not_installed(monkeypatch):
+    monkeypatch.setattr(inference, "_loaded", {})
+    monkeypatch.setitem(sys.modules, "onnxruntime", None)
+    network = load_network(sessions.cpu_model(sessions.PACKAGED), None)
+    assert network.layers and inference.reason(network, None, on_gpu=False) == "onnxruntime is not installed"
+    sessions.load_onnxruntime.cache_clear()
+    with pytest.raises(NetworkError, match="onnxruntime is not installed"):
+        load_network(sessions.PACKAGED)
+
+
+@pytest.mark.parametrize("command", ["run", "eval", "view"])
+def test_every_command_says_once_that_kernels_cannot(device, gffe, tmp_path, monkeypatch, command):
+    """... the viewer in its window, too."""
+    monkeypatch.setattr(inference, "has_onnxruntime", lambda: False)
+    scn, said = ("--scn-provider", "auto", "--scn-model", look_model(tmp_path / "m.onnx")), []
+    if command == "run":
+        tiny_sequence.write(tmp_path / "in", frames=2)
+        arguments = ("run", tmp_path / "in", tmp_path / "out", "--no-check")
+    elif command == "eval":
+        options = ("--methods", "gffe", "--frames", "4", "--size", "64x36", "--out", tmp_path / "report")
+        arguments = ("eval", "corridor", *options)
+    else:
+        pytest.importorskip("imgui_bundle")
+        monkeypatch.setattr("gffe_cl.viewer.window.start.require_display", lambda: None)
+        monkeypatch.setattr("gffe_cl.viewer.window.start.view", lambda model, *_: said.extend(model.messages))
+        arguments = ("view", "--cache", "0")
+    code, _, err = gffe(*arguments, "--device", device.info.index, *scn)
+    remark = "m.onnx: onnxruntime runs the network, as OpenCL kernels cannot"
+    assert code == 0 and err.count(f"warning: {remark}") == 1, err
+    assert [each.text.startswith(remark) for each in said] == [True] * (command == "view")

@@ -13,7 +13,7 @@ from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.inference.integer_layers import NotInKernels, read_layers
 from gffe_cl.engine.inference.network import OPENCL, load_network, reason, take_remarks
 from gffe_cl.engine.inference.onnx_file import NotRead, read_graph
-from gffe_cl.engine.inference.providers import PACKAGED, cpu_model
+from gffe_cl.engine.inference.sessions import PACKAGED, cpu_model
 
 
 @pytest.mark.parametrize("path", [PACKAGED, cpu_model(PACKAGED)], ids=["floats", "integers"])
@@ -158,7 +158,7 @@ def test_kernels_need_no_onnxruntime(tmp_path, monkeypatch):
         raise AssertionError("onnxruntime was loaded")
 
     monkeypatch.setattr(inference, "load_onnxruntime", fails)
-    monkeypatch.setattr("gffe_cl.engine.inference.providers.load_onnxruntime", fails)
+    monkeypatch.setattr("gffe_cl.engine.inference.sessions.load_onnxruntime", fails)
     assert load_network(integer_model(tmp_path / "m.onnx"), OPENCL).layers
 
 

@@ -123,6 +123,7 @@ def test_what_is_held_stays_and_leaves_no_trace(device, windowed):
             assert (out.numpy("filled_by")[~HELD] != BY_FIXED).all()
             assert pipeline.present().numpy("depth")[HELD].max() == 0.5  # the frame's own depth is not touched
             assert not pipeline.bad_pixels
+            assert pipeline.frames.current.depth is not pipeline.frames.previous.depth
     assert errors[True] > errors[False] + 3, errors
 
 

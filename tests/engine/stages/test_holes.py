@@ -22,7 +22,8 @@ def test_kernels_equal_their_twins(case):
     holes = warped["filled_by"] == twins.COMMON.BY_NOTHING
     assert np.array_equal(case.made.numpy("filled_by") == twins.COMMON.BY_HOLE_FILLING, holes)
     if case.options.levels and case.options.hole_filling == "far-side":
-        mixed = twins.mix_far_side(warped)
+        before = case.past.color, case.past.depth, reprojection(case.to, case.past.camera)
+        mixed = twins.mix_far_side(warped, before)
         changed = np.abs(twins.load_color(mixed) - twins.load_color(warped["color"])).max()
         assert changed > 5e-4 or case.options.levels == 1
         warped |= {"color": mixed}
@@ -52,8 +53,9 @@ def test_block_means_reach_over_work_groups(device, filling):
     """A large hole on an image larger than what one work-group fills: labels stay, sums and fills are the twin's."""
     width, height = 301, 70
     pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False))
-    for frame in frames(width, height, count=2, spoil=False):
-        pipeline.submit(frame)
+    past, frame = frames(width, height, count=2, spoil=False)
+    for submitted in (past, frame):
+        pipeline.submit(submitted)
     names = ("color", "depth", "motion", "filled_by")
     pipeline.keep(f"background.{name}" for name in names)
     to = camera(width, height, (0, 0, 0), 0.6)
@@ -64,7 +66,9 @@ def test_block_means_reach_over_work_groups(device, filling):
     unfilled = np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])
     before = left | {"filled_by": unfilled, "dynamic": pipeline.board.frame.read("dynamic")}
     if filling == "far-side":
-        before |= {"color": twins.mix_far_side(before | {"disoccluded": pipeline.board.frame.read("disoccluded")})}
+        disoccluded = {"disoccluded": pipeline.board.frame.read("disoccluded")}
+        last = past.color, past.depth, reprojection(to, past.camera)
+        before |= {"color": twins.mix_far_side(before | disoccluded, last)}
     stage = pipeline.stages["holes"]
     to_source = reprojection(to, frame.camera)
     source = (twins.load_color(frame.color), frame.depth)

@@ -70,7 +70,7 @@ def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypa
     correction = overlapping.stages["correction"]
 
     class Waiting:
-        copying, head, provider = 0.0, correction.network.head, correction.network.provider
+        head, provider = correction.network.head, correction.network.provider
 
         def run(self, *arrays, network=correction.network):
             runs.append(may_end.wait(20))
@@ -278,8 +278,6 @@ def test_nothing_is_copied_on_cpu_devices(device, model):
     network = stage.network
 
     class Spy:
-        copying = 0.0
-
         def run(self, *arrays):
             seen.append([array.ctypes.data for array in arrays])
             return network.run(*arrays)
@@ -317,7 +315,7 @@ def test_onnxruntime_works_in_the_memory_it_is_given(tmp_path):
 def test_one_session_per_model_and_provider(model):
     path = model()
     first = load_network(path)
-    assert load_network(path, "CPUExecutionProvider") is first is load_network(str(path), "cpu")
+    assert load_network(path, "cpu") is first is load_network(str(path), "cpu")
     options = first.session.get_session_options()
     for kind in ("intra_op", "inter_op"):
         assert options.get_session_config_entry(f"session.{kind}.allow_spinning") == "0"

@@ -119,14 +119,14 @@ def test_the_number_of_frames_begins_again(device):
     pipeline = Pipeline(device, W, H, Options(shading_correction=False))
     for frame in rendered([CAMERA] * 3):
         pipeline.submit(frame)
-        pipeline.frames.rest["number"] = MOST_NUMBER if frame.reset else pipeline.frames.rest["number"]
-    assert pipeline.frames.rest == {"number": 2, "rests": 2, "coded": 0}
+        if frame.reset:
+            pipeline.frames.number = MOST_NUMBER
+    found = pipeline.frames
+    assert (found.number, found.rests, found.coded) == (2, 2, 0)
     pipeline.extrapolate()
-    assert (
-        pipeline.frames.rest["coded"] == 0 and (pipeline.stages["backward_blocks"].read("block_class") == COPIED).any()
-    )
+    assert found.coded == 0 and (pipeline.stages["backward_blocks"].read("block_class") == COPIED).any()
     pipeline.extrapolate(camera(W, H))
-    assert pipeline.frames.rest["coded"] == 1
+    assert found.coded == 1
 
 
 def test_colors_are_encoded_after_a_new_frame_that_failed(device, monkeypatch):

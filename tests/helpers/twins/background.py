@@ -3,7 +3,7 @@
 import numpy as np
 
 from twins.common import COMMON, INF, F, centers, decode_color, invalid, kernel_constants, reproject
-from twins.holes import is_outside, static_motion
+from twins.holes import is_outside, shown_before, static_motion
 from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
 BACKGROUND = kernel_constants("background.cl")
@@ -137,25 +137,6 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
                     offer(touched, cell, z[i], i)
         settle(touched, level, color, now)
     return levels
-
-
-def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
-    """Return the code of the color of a static point in the frame before, or None."""
-    height, width = depth_prev.shape
-    x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
-    if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or not unmixed_prev[int(y), int(x)]:
-        return None
-    x0, y0 = int(x - F(0.5)), int(y - F(0.5))
-    u, v = x - F(0.5) - F(x0), y - F(0.5) - F(y0)
-    found = np.zeros(3, F)
-    for tap in range(4):
-        at = y0 + (tap >> 1), x0 + (tap & 1)
-        d = depth_prev[at]
-        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_LEVEL * z_prev):
-            return None
-        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-        found = found + weight * load_code(color_prev[at])
-    return found
 
 
 def project_background(warped, levels, zoom, to_target, to_source, before):

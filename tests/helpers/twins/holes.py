@@ -4,7 +4,17 @@ import itertools
 
 import numpy as np
 
-from twins.common import COMMON, INF, F, centers, decode_color, encode_color, invalid, kernel_constants, reproject
+from twins.common import (
+    COMMON,
+    INF,
+    F,
+    centers,
+    decode_color,
+    encode_color,
+    invalid,
+    kernel_constants,
+    reproject,
+)
 from twins.warp import load_code, load_color
 
 HOLES = kernel_constants("holes.cl")
@@ -87,15 +97,16 @@ def border_lines(codes):
     return found
 
 
-def _lines_at(along, cells, side):
-    """Return (slope, spread) of lines that cross the border at `along` px; `cells` (3, n): sums of products of changes
-    along the border, of both changes, and of changes inward."""
+def _lines_at(along, away, cells, side):
+    """Return (slope, spread) of lines that cross the border at `along` px, for a place `away` px out of the image;
+    `cells` (3, n): sums of products of changes along the border, of both changes, and of changes inward."""
     at = min(max(along, F(0)), F(side)) / F(HOLES.CELL) - F(0.5)
     k = np.arange(cells.shape[1])
     around = HOLES.CELLS_AROUND
     k = k[(k > np.floor(at) - around) & (k <= np.floor(at) + around)]
     off = at - k
-    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + HOLES.CLOSE_COUNTS * off**2)
+    close_counts = HOLES.CLOSE_COUNTS / (1 + (away / F(HOLES.CELL)) ** 2)
+    weight = np.maximum(1 - (off / around) ** 2, 0) ** 2 / (1 + close_counts * off**2)
     across, both, inward = (cells[:, k] * weight).sum(1)
     sure = across + HOLES.CELL_NOISE
     slope = np.clip(-both / sure, -HOLES.STEEPEST, HOLES.STEEPEST)
@@ -113,14 +124,16 @@ def beyond(at, source_color, lines):
     cells = lines[:, row] if axis == 0 else lines[::-1, :, row]
     along = at[axis]
     for _ in range(HOLES.APPROACHES):
-        slope, spread = _lines_at(along, cells, side)
+        slope, spread = _lines_at(along, away, cells, side)
         along = at[axis] + away * slope
-    total = np.zeros(3)
-    for k, weight in enumerate((0.103, 0.239, 0.316, 0.239, 0.103)):
+    total, weights = np.zeros(3), 0.0
+    for k in range(-HOLES.BLUR_TAPS, HOLES.BLUR_TAPS + 1):
         place = [at[0], at[1]]
-        place[axis] = along + 0.75 * HOLES.FADE * spread * abs(away) * (k - 2)
+        place[axis] = along + HOLES.FADE * spread * abs(away) * k
+        weight = 1 - (k / (HOLES.BLUR_TAPS + 1)) ** 2
         total += weight * _border_code(place, source_color)
-    return decode_color(total.astype(F))
+        weights += weight
+    return decode_color((total / weights).astype(F))
 
 
 def source_of(y, x, inverse, to_source):
@@ -214,8 +227,57 @@ def continued_surface(warped, y, x, reach, to_source, source_color, source_depth
     return mean(surface_behind([(inverse(q), F(1) / d, values(q), can_be_there(q)) for d, q in met]))
 
 
-def mix_far_side(warped):
-    """Return color of the frame as the background left it, its fills mixed with the far side."""
+def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
+    """Return the code of the color of a static point in the frame before, or None; `unmixed_prev`: pixels that count,
+    None for all."""
+    height, width = depth_prev.shape
+    x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
+    if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or (
+        unmixed_prev is not None and not unmixed_prev[int(y), int(x)]
+    ):
+        return None
+    x0, y0 = int(x - F(0.5)), int(y - F(0.5))
+    u, v = x - F(0.5) - F(x0), y - F(0.5) - F(y0)
+    found = np.zeros(3, F)
+    for tap in range(4):
+        at = y0 + (tap >> 1), x0 + (tap & 1)
+        d = depth_prev[at]
+        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * HOLES.SAME_LEVEL * z_prev):
+            return None
+        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+        found = found + weight * load_code(color_prev[at])
+    return found
+
+
+def _change_around(q, d, warped, before):
+    """Return (code in the frame before, squared change since), or None, of what lies in direction d beyond the edge (y,
+    x) of a hole."""
+    y, x = q[0] + HOLES.AROUND * d[1], q[1] + HOLES.AROUND * d[0]
+    depth = warped["depth"]
+    if not (0 <= y < depth.shape[0] and 0 <= x < depth.shape[1]) or warped["disoccluded"][y, x]:
+        return None
+    with np.errstate(divide="ignore"):
+        here, edge = F(1) / depth[y, x], F(1) / depth[q]
+    if here > edge * HOLES.FAR_SIDE or edge > here * HOLES.FAR_SIDE:
+        return None
+    color_prev, depth_prev, to_previous = before
+    shown = shown_before(np.array([x + 0.5, y + 0.5], F), depth[y, x], color_prev, depth_prev, None, to_previous)
+    return None if shown is None else (shown, ((load_code(warped["color"][y, x]) - shown) ** 2).sum())
+
+
+def _staleness(remembered, changes):
+    """Return how far the code of a remembered color is out of date, 0 to 1, at exposure 1; `changes`: those
+    known of `_change_around`."""
+    if not changes:
+        return F(0)
+    shown, change = (np.mean(part, axis=0) for part in zip(*changes, strict=True))
+    contrast = ((remembered - shown) ** 2).sum()
+    return change / (change + HOLES.CONTRAST_COUNTS * contrast + 3 * HOLES.LEAST_CHANGE)
+
+
+def mix_far_side(warped, before):
+    """Return color of the frame as the background left it, its fills mixed with the far side; `before`: color and depth
+    of the frame before, and the reprojection into it."""
     color, shown = warped["color"].copy(), load_color(warped["color"])
     hole = warped["disoccluded"] != 0
     others = COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING
@@ -226,18 +288,21 @@ def mix_far_side(warped):
         met = []
         for d in _DIRECTIONS:
             found = (m for m in march(y, x, d, HOLES.MIXED_REACH, hole.shape) if not hole[m[1]])
-            met += [(F(1) / distance, q) for distance, q in itertools.islice(found, 1)]
-        least = min((inverse[q] for _, q in met), default=F(0))
-        far = [(closeness, q) for closeness, q in met if inverse[q] <= least * HOLES.FAR_SIDE]
+            met += [(F(1) / distance, q, d) for distance, q in itertools.islice(found, 1)]
+        least = min((inverse[q] for _, q, _ in met), default=F(0))
+        far = [m for m in met if inverse[m[1]] <= least * HOLES.FAR_SIDE]
         if not far:
             continue
-        weights = np.array([closeness for closeness, _ in far], F)
-        colors = np.array([shown[q] for _, q in far])
+        weights = np.array([closeness for closeness, *_ in far], F)
+        colors = np.array([shown[q] for _, q, _ in far])
         mean = decode_color(np.average(encode_color(colors), axis=0, weights=weights))
         spread = np.average((colors.mean(1) - mean.mean()) ** 2, weights=weights)
         typical = (HOLES.CONTRAST * mean.mean()) ** 2
         counts = weights.max() * (typical / (typical + spread) if spread > 0 else 1)
-        color[y, x, :3] = decode_color((encode_color(shown[y, x]) + counts * encode_color(mean)) / (1 + counts))
+        code = encode_color(shown[y, x])
+        stale = _staleness(code, [c for _, q, d in far if (c := _change_around(q, d, warped, before))])
+        total = (1 - stale) * code + (stale + counts) * encode_color(mean)
+        color[y, x, :3] = decode_color(total / (1 + counts))
     return color
 
 

@@ -12,7 +12,7 @@ from onnx import numpy_helper  # noqa: E402
 
 from gffe_cl import GffeError  # noqa: E402
 from gffe_cl.engine.inference import network as inference  # noqa: E402
-from gffe_cl.engine.inference.providers import cpu_model  # noqa: E402
+from gffe_cl.engine.inference.sessions import cpu_model  # noqa: E402
 from gffe_cl.lab.training.export import differences, export_onnx  # noqa: E402
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork  # noqa: E402
 from gffe_cl.lab.training.quantization import equalize, quantize  # noqa: E402

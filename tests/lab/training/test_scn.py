@@ -2,10 +2,7 @@
 
 import json
 import math
-import os
-import shutil
 import signal
-import subprocess
 import sys
 from pathlib import Path
 
@@ -25,7 +22,7 @@ from gffe_cl.lab.training.augmentation import Augmentation, low_pass  # noqa: E4
 from gffe_cl.lab.training.crops import Batch, Crop, CropReader, focus_truth, keep_crops, list_crops  # noqa: E402
 from gffe_cl.lab.training.export import count_operations, differences, export_onnx  # noqa: E402
 from gffe_cl.lab.training.flow import find_flow  # noqa: E402
-from gffe_cl.lab.training.training import CHECKPOINT, Processes, Recipe, Training, split_crops, weights  # noqa: E402
+from gffe_cl.lab.training.training import CHECKPOINT, Recipe, Training, split_crops, weights  # noqa: E402
 
 read_batch = CropReader(torch.device("cpu")).batch
 
@@ -459,7 +456,7 @@ def opened():
 
 
 def started(folder, data, recipe=RECIPE):
-    return Training(folder, recipe, list_crops(data, 3, CLIPS), Processes(), clips=CLIPS)
+    return Training(folder, recipe, list_crops(data, 3, CLIPS), clips=CLIPS)
 
 
 @pytest.mark.slow
@@ -618,63 +615,6 @@ def test_broken_data_is_named(data, tmp_path):
         list_crops(tmp_path, 3, 1)
 
 
-RANKS = """
-import torch
-from gffe_cl.cli import main
-from gffe_cl.lab.training import training
-from gffe_cl.lab.training.training import Training
-
-training._VALIDATION_CROPS = 4
-run = Training.run
-
-
-def checked(self, *arguments, **options):
-    done = run(self, *arguments, **options)
-    sums = [None, None]
-    torch.distributed.all_gather_object(sums, [value.double().sum().item() for value in self.network.parameters()])
-    assert sums[0] == sums[1], "weights differ"
-    return done
-
-
-Training.run = checked
-main()
-"""
-
-
-@pytest.mark.slow
-@pytest.mark.long
-def test_two_processes_train_one_network(data, tmp_path):
-    """The command, started by torchrun: half of each batch in either process, and yet one set of weights."""
-    (tmp_path / "ranks.py").write_text(RANKS)
-    options = ["--clips", str(CLIPS), "--seed", "3", "--batch", "2", "--steps", "3", "--full-every", "2"]
-    launcher = [sys.executable, "-m", "torch.distributed.run", "--nproc-per-node", "2", "ranks.py"]
-    for _ in range(2):  # gloo aborts a process now and then as it ends
-        shutil.rmtree(tmp_path / "run", ignore_errors=True)
-        ended = subprocess.run(
-            [*launcher, "train", "run", "--data", str(data), *options],
-            cwd=tmp_path,
-            env=os.environ | {"OMP_NUM_THREADS": "1"},
-            capture_output=True,
-            text=True,
-            timeout=300,
-        )
-        if "exitcode: -6" not in ended.stderr:
-            break
-    assert ended.returncode == 0, ended.stderr[-2000:]
-    assert {"scn.onnx", "MODEL_CARD.md", CHECKPOINT, "log"} <= {path.name for path in (tmp_path / "run").iterdir()}
-    assert ended.stdout.count("steps: 3 of 3") == 1
-    with pytest.raises(GffeError, match="was started with processes 2"):
-        started(tmp_path / "run", data, Recipe(seed=3, steps=3, batch=2, full_every=2))
-
-
-@pytest.mark.slow
-def test_batches_are_shared_out_evenly(data, tmp_path):
-    processes = Processes()
-    processes.count = 2
-    with pytest.raises(GffeError, match="batch must be a multiple of the number of processes, got 3 and 2"):
-        Training(tmp_path, Recipe(batch=3), list_crops(data, 3, CLIPS), processes)
-
-
 @pytest.mark.long
 @pytest.mark.slow
 def test_signals_wait_for_the_end_of_a_step(data, tmp_path):
@@ -796,18 +736,6 @@ def test_export(tmp_path):
     assert [path.name for path in tmp_path.iterdir()] == ["scn.onnx"]
     with pytest.raises(GffeError, match="cannot write the model"):
         export_onnx(net, tmp_path / "no" / "scn.onnx")
-
-
-def test_convolutions_have_a_multiple_of_four_input_channels(tmp_path):
-    """WebGPU's provider of onnxruntime computes others wrongly."""
-    import onnx
-
-    export_onnx(network.ShadingCorrectionNetwork(), tmp_path / "scn.onnx")
-    graph = onnx.load(tmp_path / "scn.onnx").graph
-    shapes = {value.name: tuple(value.dims) for value in graph.initializer}
-    convolutions = [shapes[node.input[1]] for node in graph.node if node.op_type == "Conv"]
-    assert len(convolutions) == 15
-    assert all(inputs % 4 == 0 for _, inputs, *_ in convolutions), convolutions
 
 
 def test_the_pipeline_makes_what_the_trained_network_does(opened, tmp_path):

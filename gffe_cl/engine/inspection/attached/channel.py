@@ -1,20 +1,21 @@
-"""Local sockets between processes of one user: where they are, who may connect, and messages over them."""
+"""Local sockets between processes of one user: their addresses, who may connect, and messages over them.
+
+Addresses are abstract, as Linux has them: names without files, which the kernel drops with the last process that has
+the socket. Other users can see them, and are refused by what the kernel tells of a peer.
+"""
 
 from __future__ import annotations
 
 import errno
-import fcntl
 import os
 import re
 import socket
-import stat
 import struct
 import sys
-import tempfile
+import threading
 import time
 import weakref
-from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import suppress
 from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
@@ -22,7 +23,6 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import shown
 
 _NAME = re.compile(r"[\w.-]{1,64}", re.ASCII)
-_LONGEST_PATH = 107  # bytes, of a Unix socket
 _LARGEST = 1 << 20  # bytes of a message; the kernel refuses those that are larger than its buffers
 _MOST_FDS = 2
 _PROTOCOL = "gffe-cl attach"
@@ -31,8 +31,7 @@ _CONNECT_SECONDS = 5.0
 _RETRY_SECONDS = 0.1
 _MOST_PROGRAMS = 1000
 NO_ANSWER = "no answer (another viewer may be attached, or the program is stopped)"
-_LOCK_SECONDS = 1.0
-_OWN_FOLDER = "expected XDG_RUNTIME_DIR, or TMPDIR, to name a folder of your own"
+_SOCKETS = Path("/proc/net/unix")  # lists all, the abstract ones with "@" in place of the zero byte
 
 
 def require_linux() -> None:
@@ -48,25 +47,9 @@ def require_name(name: str) -> str:
     return name
 
 
-def socket_folder() -> Path:
-    """Return the folder of the sockets, which is made if it is missing. Raises GffeError unless it belongs to this user
-    alone."""
-    runtime = os.environ.get("XDG_RUNTIME_DIR")
-    there = runtime if runtime and os.path.isdir(runtime) else None  # some containers name one that there is not
-    folder = Path(there) / "gffe-cl" if there else Path(tempfile.gettempdir()) / f"gffe-cl-sockets-{os.getuid()}"
-    try:
-        with suppress(FileExistsError):
-            folder.mkdir(mode=0o700)
-        state = folder.lstat()
-    except OSError as error:
-        raise GffeError(f"attach: {folder}: {error.strerror} ({_OWN_FOLDER})") from None
-    if not stat.S_ISDIR(state.st_mode) or state.st_uid != os.getuid():
-        raise GffeError(
-            f"attach: {folder} must be a folder that only you can enter, but it is not yours ({_OWN_FOLDER})"
-        )
-    if state.st_mode & 0o077:
-        raise GffeError(f"attach: {folder} must be a folder that only you can enter (chmod 700 {folder})")
-    return folder
+def address_of(name: str) -> str:
+    """Return the abstract address of this user's program of that name."""
+    return f"\0gffe-cl/{os.getuid()}/{name}"
 
 
 def own_version() -> str:
@@ -155,32 +138,26 @@ class Listener:
 
     def __init__(self, name: str | None, stem: str):
         require_linux()
-        folder = socket_folder()
         names = [require_name(name)] if name is not None else [stem, *(f"{stem}-{n}" for n in range(2, _MOST_PROGRAMS))]
-        paths = [_path(folder, one) for one in names]
         try:
-            with _locked(folder):
-                _remove_dead(folder)
             self._socket = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
             _sockets.add(self._socket)
-            found = next((path for path in paths if _bound(self._socket, path)), None)
+            found = next((one for one in names if _bound(self._socket, one)), None)
             if found is not None:
                 self._socket.listen(8)
         except OSError as error:
-            raise GffeError(f"attach: {folder}: {error.strerror or error} ({_OWN_FOLDER})") from None
+            raise GffeError(f"attach: no socket: {error.strerror or error}") from None
         if found is None:
-            taken = f"{paths[-1]} is in the way"
-            if _is_program(paths[-1]):
-                taken = f"a program is attached as '{names[-1]}' already"
-            raise GffeError(f"attach: {taken} (expected another name)")
-        self._path, self.name = found, found.stem
+            raise GffeError(f"attach: a program is attached as '{names[-1]}' already (expected another name)")
+        self.name, self._accepting = found, threading.RLock()
 
     def accept(self) -> Channel:
         """Return a channel to the next viewer of this user; others are sent away. Raises OSError once the listener is
         closed."""
         while True:
             try:
-                connected, _ = self._socket.accept()
+                with self._accepting:
+                    connected, _ = self._socket.accept()
             except OSError as error:
                 if error.errno in (errno.EBADF, errno.EINVAL):  # what `close` leads to
                     raise
@@ -192,20 +169,20 @@ class Listener:
             connected.close()
 
     def close(self) -> None:
-        """Wake the thread that waits in `accept`. In a forked child the socket stays the parent's."""
+        """Wake the thread that waits in `accept`; the name is free then. In a forked child the socket stays the
+        parent's."""
         if self._socket.fileno() < 0:
             return
         with suppress(OSError):
             self._socket.shutdown(socket.SHUT_RDWR)
-        with suppress(OSError):
-            self._path.unlink()
-        self._socket.close()
+        with self._accepting:
+            self._socket.close()
 
 
-def _bound(binding: socket.socket, path: Path) -> bool:
-    """Bind the socket to `path`. Returns whether that was free."""
+def _bound(binding: socket.socket, name: str) -> bool:
+    """Bind the socket to the address of `name`. Returns whether that was free."""
     try:
-        binding.bind(str(path))
+        binding.bind(address_of(name))
     except OSError as error:
         if error.errno != errno.EADDRINUSE:
             raise
@@ -218,19 +195,17 @@ def connect(name: str) -> Channel:
     not answer, or if it is another user's."""
     require_linux()
     require_name(name)
-    folder = socket_folder()
-    path = _path(folder, name)
     connected = socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET)
     _set_patience(connected, _CONNECT_SECONDS)
     try:
-        connected.connect(str(path))
+        connected.connect(address_of(name))
         uid = _peer_uid(connected)
     except BlockingIOError:  # many viewers wait already
         connected.close()
         raise GffeError(f"{name}: {NO_ANSWER}") from None
     except OSError:
         connected.close()
-        living = _programs(folder)
+        living = programs()
         there = f"there are: {', '.join(living)}" if living else "no program is: gffe_cl.attach(pipeline) does it"
         raise GffeError(f"no program is attached as '{name}' ({there})") from None
     if uid != os.getuid():
@@ -254,7 +229,7 @@ if hasattr(os, "register_at_fork"):
     os.register_at_fork(after_in_child=_drop_copies)
 
 
-# ---- the folder of the sockets -----------------------------------------------------------------------------------
+# ---- other processes ---------------------------------------------------------------------------------------------
 
 
 def _peer_uid(connected: socket.socket) -> int:
@@ -263,65 +238,12 @@ def _peer_uid(connected: socket.socket) -> int:
     return uid
 
 
-def _path(folder: Path, name: str) -> Path:
-    path = folder / f"{name}.socket"
-    if len(os.fsencode(path)) > _LONGEST_PATH:
-        raise GffeError(
-            f"attach: {path} is longer than {_LONGEST_PATH} bytes (expected a shorter name, or XDG_RUNTIME_DIR to name"
-            " a shorter path)"
-        )
-    return path
-
-
-@contextmanager
-def _locked(folder: Path) -> Iterator[None]:
-    """Lock the folder, so that no other process removes sockets meanwhile. Goes on without the lock after a second: its
-    owner may be stopped."""
-    descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY | os.O_CLOEXEC)
-    end = time.monotonic() + _LOCK_SECONDS
-    try:
-        while True:
-            try:
-                fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
-                break
-            except BlockingIOError:
-                if time.monotonic() > end:
-                    break
-                time.sleep(0.01)
-        yield
-    finally:
-        os.close(descriptor)
-
-
-def _programs(folder: Path) -> list[str]:
+def programs() -> list[str]:
     """Return the names of attached programs."""
-    return sorted(path.stem for path in folder.glob("*.socket") if _is_program(path))
-
-
-def _remove_dead(folder: Path) -> None:
-    """Remove the sockets of dead programs, and nothing else."""
-    for path in folder.glob("*.socket"):
-        with suppress(OSError):
-            if stat.S_ISSOCK(path.lstat().st_mode) and _refusals(path) == {errno.ECONNREFUSED}:
-                path.unlink()
-
-
-def _is_program(path: Path) -> bool:
-    """Return whether a living process has a socket of packets at `path`."""
-    with suppress(OSError):
-        return stat.S_ISSOCK(path.lstat().st_mode) and _refusals(path) == {errno.EPROTOTYPE}
-    return False
-
-
-def _refusals(path: Path) -> set[int | None]:
-    """Return the errors of connecting sockets of the wrong types. That never waits and never reaches the program:
-    EPROTOTYPE if a process has a socket of packets there, ECONNREFUSED if none has any."""
-    errors: set[int | None] = set()
-    for kind in (socket.SOCK_DGRAM, socket.SOCK_STREAM):
-        with socket.socket(socket.AF_UNIX, kind | socket.SOCK_NONBLOCK) as connecting:
-            try:
-                connecting.connect(str(path))
-                errors.add(None)
-            except OSError as error:  # paths that are too long have no number
-                errors.add(error.errno)
-    return errors
+    try:
+        lines = _SOCKETS.read_text("utf-8", "replace").splitlines()
+    except OSError:  # some containers have no such file
+        return []
+    begin = address_of("").replace("\0", "@")
+    addresses = {line.split(maxsplit=7)[-1] for line in lines}
+    return sorted(one.removeprefix(begin) for one in addresses if one.startswith(begin))

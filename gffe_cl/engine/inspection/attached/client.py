@@ -72,8 +72,7 @@ def attach(pipeline: Pipeline, name: str | None = None, *, pacer: Pacer | None =
     Raises
     ------
     GffeError
-        On other systems, for a name that is taken or has other characters, for a pipeline that is attached already, and
-        where the folder of the sockets (in XDG_RUNTIME_DIR, else among temporary files) cannot be used.
+        On other systems, for a name that is taken or has other characters, and for a pipeline that is attached already.
     """
     require_kind(pipeline, Pipeline, "attach: pipeline", "a Pipeline")
     if pacer is not None:

@@ -10,6 +10,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.inspection.buffers import moved
 
 REMEMBERED = 9  # rendered frames, the one that is shown included
 _SAME = 0.25  # relative depth within which a surface, which may move, is taken for the one of the frame after
@@ -56,7 +57,7 @@ def way_of(queue: cl.CommandQueue, passed: Iterable[Passed], px: tuple[float, fl
         if met is None:
             break
         px, depth, motion = met
-        way.append(WayPoint(frame.k, _displayed(px, frame)))
+        way.append(WayPoint(frame.k, moved(px, frame.camera, frame.display_camera)))
         if frame.begins or not (0 < depth < np.inf) or not np.isfinite(motion).all():
             break
         px, expected = (px[0] + motion[0], px[1] + motion[1]), depth
@@ -81,11 +82,3 @@ def _met(queue: cl.CommandQueue, frame: Passed, px: tuple[float, float], expecte
         if (dx, dy) == (0, 0) and best:
             break
     return best
-
-
-def _displayed(px: tuple[float, float], frame: Passed) -> tuple[float, float]:
-    image, seen = frame.camera, frame.display_camera
-    return (
-        float((px[0] - image.cx) * seen.fx / image.fx + seen.cx),
-        float((px[1] - image.cy) * seen.fy / image.fy + seen.cy),
-    )
