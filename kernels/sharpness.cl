@@ -11,7 +11,7 @@
 #define SAME_SHAPE 0.2f /* relative range of depths of one surface around a sample */
 #define EVIDENCE_KEPT 0.9f /* of the evidence of the frame before */
 #define LEAST_EVIDENCE 0.005f /* with as much evidence, half of the sharpness found counts */
-#define DOUBT 0.05f /* of the sharpness found, by which it may be too much */
+#define TAKEN_OFF 0.05f /* of the sharpness found, which may be too much */
 #define SHARPEST 2.0f
 #define UNIT 524288.0f /* of sums in integers, which depend on no order: no sample adds more than 1 */
 
@@ -100,5 +100,5 @@ measure_sharpness(__constant Frame *restrict frame, __global const half *color, 
                 all_changed = EVIDENCE_KEPT * evidence[CHANGED] + new_changed;
     evidence[EXPLAINED] = all_explained;
     evidence[CHANGED] = all_changed;
-    *sharpness = clamp(divide(all_explained, all_changed + LEAST_EVIDENCE) - DOUBT, 0.0f, SHARPEST);
+    *sharpness = clamp(divide(all_explained, all_changed + LEAST_EVIDENCE) - TAKEN_OFF, 0.0f, SHARPEST);
 }

@@ -28,7 +28,7 @@ def test_kernel_equals_its_twin(device, size):
         past = now
     found = stage.read("evidence").ravel()
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
-    share = np.clip(found[0] / (found[1] + SHARPNESS.LEAST_EVIDENCE) - SHARPNESS.DOUBT, 0, SHARPNESS.SHARPEST)
+    share = np.clip(found[0] / (found[1] + SHARPNESS.LEAST_EVIDENCE) - SHARPNESS.TAKEN_OFF, 0, SHARPNESS.SHARPEST)
     assert found[1] > 0 and stage.read("sharpness").item() == pytest.approx(share, rel=1e-5)
     pipeline.submit(next(frames(*size)))
     assert not stage.read("evidence").any() and stage.read("sharpness").item() == 0
