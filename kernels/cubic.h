@@ -1,62 +1,85 @@
-/* Cubic (Catmull-Rom) interpolation of half images, but for the corners of 4x4 taps, which weigh little. */
+/* Cubic interpolation of half images, but for the corners of 4x4 taps, which weigh little. */
 
 #include "simd_rgb.h"
 
-/* Weights of the four taps around t in [0, 1). */
-INLINE void cubic_weights(const Floats t, Floats *weights) {
+/* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
+#define LEAST_EDGE 0.1f /* range of the four inner taps, white being 1, above which an edge is steepened ... */
+#define FULL_EDGE 0.3f /* ... and from which on it is so in full */
+
+#define CATMULL_ROM 0.5f /* slope */
+
+/* How much sharper than Catmull-Rom's is interpolation. */
+typedef struct {
+    float slope; /* of the cubic */
+    bool edges; /* whether edges are steepened: known when kernels are built */
+    float steeper; /* by how much, midway between pixels */
+    float per_range; /* 1 / the difference of codes between FULL_EDGE and LEAST_EDGE */
+} Sharpening;
+
+#define NO_EDGES(slope) {slope, false, 0.0f, 0.0f}
+
+/* Weights of cubic convolution (Keys) of the four taps around t in [0, 1), with these slopes at the taps: with
+   CATMULL_ROM it is Catmull-Rom, with more it is sharper. */
+INLINE void cubic_weights(const Floats t, const float slope, Floats *weights) {
     const Floats t2 = t * t, t3 = t2 * t;
-    weights[0] = -0.5f * t + t2 - 0.5f * t3;
-    weights[1] = 1.0f - 2.5f * t2 + 1.5f * t3;
-    weights[2] = 0.5f * t + 2.0f * t2 - 1.5f * t3;
-    weights[3] = 0.5f * t3 - 0.5f * t2;
+    weights[0] = slope * (2.0f * t2 - t - t3);
+    weights[1] = 1.0f + (slope - 3.0f) * t2 + (2.0f - slope) * t3;
+    weights[2] = slope * t + (3.0f - 2.0f * slope) * t2 + (slope - 2.0f) * t3;
+    weights[3] = slope * (t3 - t2);
 }
 
-/* Makes the weights of all taps but the corners add up to 1. */
-INLINE void leave_out_corners(Floats *wx, const Floats *wy) {
-    const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (wx[0] + wx[3]) * (wy[0] + wy[3]));
-    for (int k = 0; k < 4; ++k) wx[k] *= scale;
+/* Weights of a sum. Those of all taps but the corners add up to 1. */
+typedef struct {
+    Floats x[4], y[4];
+    Floats steeper; /* by how much an edge is steepened there: not at all at the centers of pixels */
+    Sharpening sharp;
+} Cubic;
+
+INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp, Cubic *c) {
+    cubic_weights(u, sharp.slope, c->x);
+    cubic_weights(v, sharp.slope, c->y);
+    const Floats scale = wide_divide((Floats)(1.0f), 1.0f - (c->x[0] + c->x[3]) * (c->y[0] + c->y[3]));
+    for (int k = 0; k < 4; ++k) c->x[k] *= scale;
+    c->steeper = sharp.steeper * (1.0f - fabs(2.0f * u - 1.0f) * fabs(2.0f * v - 1.0f));
+    c->sharp = sharp;
 }
 
-/* The pixels of a part, whose taps lie in a row from index `first` on, clamped to the four inner taps. Of finite
-   numbers. A column at a time: all of them at once take 48 registers of a GPU. */
-INLINE Texels cubic_of_run(const int first, const Floats *wx, const Floats *wy, const int part, const int width,
-                           __global const half *image) {
-    Texels total, low, high;
-#pragma unroll
-    for (int tx = 0; tx < 4; ++tx) {
-        __global const half *p = image + 4 * (first + tx);
-        const Texels b = load_texels(0, p + 4 * width), c = load_texels(0, p + 8 * width);
-        Texels column = OF_TEXELS(wy[1], part) * b + OF_TEXELS(wy[2], part) * c;
-        if (tx == 1 || tx == 2) {
-            column +=
-                OF_TEXELS(wy[0], part) * load_texels(0, p) + OF_TEXELS(wy[3], part) * load_texels(0, p + 12 * width);
-            const Texels lower = b < c ? b : c, higher = b < c ? c : b;
-            low = tx == 1 ? lower : low < lower ? low : lower;
-            high = tx == 1 ? higher : high < higher ? higher : high;
-        }
-        total = tx == 0 ? OF_TEXELS(wx[0], part) * column : total + OF_TEXELS(wx[tx], part) * column;
+/* The sum, of type F, over taps in these columns and rows of an image, of finite numbers, clamped to the four inner
+   taps. A column at a time: all of them at once take 48 registers of a GPU. Where the inner taps are of an edge, the
+   sum moves away from the middle of four outer taps, one of each side. */
+#define DEFINE_CUBIC(F, Image, load, of, cubic)                                                                        \
+    INLINE F cubic(const int *columns, const int *rows, const Cubic *w, const int k, Image image) {                    \
+        F total, low, high, least, most;                                                                               \
+        _Pragma("unroll") for (int tx = 0; tx < 4; ++tx) {                                                             \
+            const F b = load(rows[1] + columns[tx], image), c = load(rows[2] + columns[tx], image);                    \
+            F column = of(w->y[1], k) * b + of(w->y[2], k) * c, outer = tx == 0 ? b : c;                               \
+            if (tx == 1 || tx == 2) {                                                                                  \
+                const F a = load(rows[0] + columns[tx], image), d = load(rows[3] + columns[tx], image);                \
+                column += of(w->y[0], k) * a + of(w->y[3], k) * d;                                                     \
+                outer = tx == 1 ? d : a;                                                                               \
+                const F lower = b < c ? b : c, higher = b < c ? c : b;                                                 \
+                low = tx == 1 ? lower : low < lower ? low : lower;                                                     \
+                high = tx == 1 ? higher : high < higher ? higher : high;                                               \
+            }                                                                                                          \
+            least = tx == 0 ? outer : outer < least ? outer : least;                                                   \
+            most = tx == 0 ? outer : most < outer ? outer : most;                                                      \
+            total = tx == 0 ? of(w->x[0], k) * column : total + of(w->x[tx], k) * column;                              \
+        }                                                                                                              \
+        if (w->sharp.edges) {                                                                                          \
+            const float dull = LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                                                  \
+            const F edge = clamp((high - low) * w->sharp.per_range - dull, 0.0f, 1.0f);                                \
+            total -= of(w->steeper, k) * edge * (0.5f * (least + most) - total);                                       \
+        }                                                                                                              \
+        const F raised = total < low ? low : total;                                                                    \
+        return high < raised ? high : raised;                                                                          \
     }
-    const Texels raised = total < low ? low : total;
-    return high < raised ? high : raised;
-}
 
-/* The same of the pixel of lane k from taps in any columns and rows, which begin at indices `rows`. */
-INLINE float4 cubic_of_lane(const int *columns, const int *rows, const Floats *wx, const Floats *wy, const int k,
-                            __global const half *image) {
-    float4 total = (float4)(0.0f), low = total, high = total;
-#pragma unroll
-    for (int tx = 0; tx < 4; ++tx) {
-        const float4 b = load_texel(rows[1] + columns[tx], image), c = load_texel(rows[2] + columns[tx], image);
-        float4 column = float_of(&wy[1], k) * b + float_of(&wy[2], k) * c;
-        if (tx == 1 || tx == 2) {
-            const float4 a = load_texel(rows[0] + columns[tx], image), d = load_texel(rows[3] + columns[tx], image);
-            column += float_of(&wy[0], k) * a + float_of(&wy[3], k) * d;
-            const float4 lower = b < c ? b : c, higher = b < c ? c : b;
-            low = tx == 1 ? lower : low < lower ? low : lower;
-            high = tx == 1 ? higher : high < higher ? higher : high;
-        }
-        total = tx == 0 ? float_of(&wx[0], k) * column : total + float_of(&wx[tx], k) * column;
-    }
-    const float4 raised = total < low ? low : total;
-    return high < raised ? high : raised;
-}
+/* Of the pixel of lane k; and of those of part k, whose taps lie in rows. */
+#define OF_LANE(v, k) ((float4)(float_of(&(v), k)))
+#define load_run(i, image) load_texels(0, (image) + 4 * (i))
+DEFINE_CUBIC(float4, __global const half *, load_texel, OF_LANE, cubic_of_lane)
+#if LANES == 8
+DEFINE_CUBIC(Texels, __global const half *, load_run, OF_TEXELS, cubic_of_run)
+#else
+#define cubic_of_run cubic_of_lane
+#endif

@@ -82,15 +82,19 @@ INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __
 WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global const Key *keys,
                                     __global const uint *winners, __global const half *color,
                                     __global const half *codes, __global const uchar *dynamic_mask,
-                                    __global const float *target_position, __global half *out_color,
-                                    __global float *out_depth, __global float2 *out_motion, __global uchar *out_dynamic,
-                                    __global uchar *disoccluded, __global uchar *filled_by) {
+                                    __global const float *target_position, __global const float *sharpness,
+                                    __global half *out_color, __global float *out_depth, __global float2 *out_motion,
+                                    __global uchar *out_dynamic, __global uchar *disoccluded,
+                                    __global uchar *filled_by) {
     const int width = frame->source_width, height = frame->source_height, plane = width * height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), dst = y * target_width + x, count = target_width - x;
     if (x >= target_width || y >= target_height) return;
-    const Rendered shown = {
-        .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
+    const Rendered shown = {.color = color,
+                            .codes = codes,
+                            .dynamic_mask = dynamic_mask,
+                            .code_offset = frame->code_offset,
+                            .sharpening = sharpening_of(sharpness, frame)};
     const Uints word = load_some_winners(count, keys, winners, dst);
     const Ints reached = word != NOBODY;
     Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);

@@ -67,6 +67,7 @@ typedef struct {
     int dilates; /* whether the dilated warp makes the new frame */
     int detects; /* whether samples are counted that tell a cut */
     int automatic; /* whether the static threshold follows from the frame */
+    int sharpness; /* whether it is measured, and new frames are resampled with it */
 } Frame;
 
 /* Bits of `has_overlays`. */

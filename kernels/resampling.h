@@ -3,11 +3,35 @@
 #include "encode.h"
 #include "cubic.h"
 
+/* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
+#define SHARPER_SLOPE 0.16f /* by how much the cubic's slope grows for a sharpness of 1 */
+#define STEEPER 0.2f /* by how much an edge is steepened for a sharpness of 1, midway between pixels */
+#define SHARP_AT_ONCE 2.0f /* times the measured sharpness at alpha = 0, ... */
+#define LESS_SHARP_LATER 1.2f /* ... and less by this at 1: places are less certain */
+
+/* Of this sharpness, for codes with white as its own. */
+INLINE Sharpening sharpening(const float sharpness, const float white) {
+    const Sharpening sharp = {CATMULL_ROM + SHARPER_SLOPE * sharpness, true, STEEPER * sharpness,
+                              divide(1.0f / (FULL_EDGE - LEAST_EDGE), white)};
+    return sharp;
+}
+
+INLINE float display_white(const float code_offset) {
+    return code_offset > 0.0f ? 4.0f * code_offset * code_offset : 1.0f;
+}
+
+/* Of a new frame after rendered ones of the measured sharpness (sharpness.cl), if any is measured. */
+INLINE Sharpening sharpening_of(__global const float *measured, __constant Frame *frame) {
+    const float later = fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f);
+    return sharpening(frame->sharpness ? *measured * later : 0.0f, display_white(frame->code_offset));
+}
+
 /* Images of the rendered frame that its fragments bring along. */
 typedef struct {
     __global const half *color, *codes;
     __global const uchar *dynamic_mask;
     float code_offset;
+    Sharpening sharpening;
 } Rendered;
 
 #define ALL_ALIKE 0xFF  /* of taps that move alike: bits 0 to 3 the inner ones, 4 to 7 the corners */
@@ -42,15 +66,16 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
     s->v = dy - oy;
 }
 
+#define ROWS_OF_TAPS(tap, width) {(tap) - (width), tap, (tap) + (width), (tap) + 2 * (width)}
+
 /* Stores the colors of the lanes in `use`: a pixel of the rendered frame keeps its bits; cubic where the neighborhood
    moves alike; else bilinear over those of the four taps that move alike. A part whose taps lie in a row is made at
    once, others pixel by pixel. */
 INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
                            __global half *out_color) {
-    Floats wx[4], wy[4];
-    cubic_weights(s.u, wx);
-    cubic_weights(s.v, wy);
-    leave_out_corners(wx, wy);
+    Cubic cubic;
+    cubic_between(s.u, s.v, shown.sharpening, &cubic);
+    const int columns[4] = {-1, 0, 1, 2};
     const Ints exact = (s.tap == s.src) & (s.u == 0.0f) & (s.v == 0.0f), whole = !exact & (s.alike == ALL_ALIKE);
     const Ints in_row = use & (s.tap == ROWS_OF_PARTS(s.tap));
 #pragma unroll
@@ -58,8 +83,9 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
         const int lane = part * TEXELS, first = int_of(&s.tap, lane);
         const bool copied = ALL_OF_PART(in_row & exact, part);
         if (copied || ALL_OF_PART(in_row & whole, part)) {
+            const int rows[4] = ROWS_OF_TAPS(first, source_width);
             Texels c = copied ? load_texels(0, shown.color + 4 * first)
-                              : cubic_of_run(first - source_width - 1, wx, wy, part, source_width, shown.codes);
+                              : cubic_of_run(columns, rows, &cubic, part, shown.codes);
             VALID(c) = 0.0f;
             if (!copied) c = decode_texels(c, shown.code_offset);
             VALID(c) = 0.0f;
@@ -73,9 +99,8 @@ INLINE void resample_lanes(const Samples s, const Ints use, const int source_wid
             if (LANES > 1 && int_of(&exact, k)) {
                 c = load_color(shown.color, src);
             } else if (LANES > 1 && int_of(&whole, k)) {
-                const int columns[4] = {tap - 1, tap, tap + 1, tap + 2};
-                const int rows[4] = {-source_width, 0, source_width, 2 * source_width};
-                c = decode_color(cubic_of_lane(columns, rows, wx, wy, k, shown.codes).xyz, shown.code_offset);
+                const int rows[4] = ROWS_OF_TAPS(tap, source_width);
+                c = decode_color(cubic_of_lane(columns, rows, &cubic, k, shown.codes).xyz, shown.code_offset);
             } else {
                 c = of_those_alike(int_of(&s.alike, k), tap, float_of(&s.u, k), float_of(&s.v, k), source_width, src,
                                    shown);

@@ -27,16 +27,6 @@ INLINE float8 two_texels(__global const half *image, const int x, const int y, c
                     load_texel(row + clamp(x + 1, 0, width - 1), image));
 }
 
-/* Weights of cubic convolution (Keys) with these slopes at the taps: with 1/2 it is Catmull-Rom, with more it is
-   sharper. */
-INLINE void sloped_weights(const Floats t, const float slope, Floats *weights) {
-    const Floats t2 = t * t, t3 = t2 * t;
-    weights[0] = slope * (2.0f * t2 - t - t3);
-    weights[1] = 1.0f + (slope - 3.0f) * t2 + (2.0f - slope) * t3;
-    weights[2] = slope * t + (3.0f - 2.0f * slope) * t2 + (slope - 2.0f) * t3;
-    weights[3] = slope * (t3 - t2);
-}
-
 /* The image at LANES places of the lanes in `use` (others: 0), cubic without corners, clamped to the four inner
    taps. Of finite numbers. */
 INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, const int width, const int height,
@@ -44,10 +34,9 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     const Floats corner_x = (use ? px_x : (Floats)(0.5f)) - 0.5f, corner_y = (use ? px_y : (Floats)(0.5f)) - 0.5f;
     const Floats first_x = floor(corner_x), first_y = floor(corner_y);
     const Ints x = to_ints(first_x) - 1, y = to_ints(first_y) - 1;
-    Floats wx[4], wy[4];
-    sloped_weights(corner_x - first_x, slope, wx);
-    sloped_weights(corner_y - first_y, slope, wy);
-    leave_out_corners(wx, wy);
+    const Sharpening sharp = NO_EDGES(slope);
+    Cubic cubic;
+    cubic_between(corner_x - first_x, corner_y - first_y, sharp, &cubic);
     const Ints first = y * width + x;
     const Ints in_row =
         use & (first == ROWS_OF_PARTS(first)) & (x >= 0) & (y >= 0) & (x + 4 <= width) & (y + 4 <= height);
@@ -56,7 +45,9 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
     for (int part = 0; part < PARTS; ++part) {
         const int lane = part * TEXELS;
         if (LANES > 1 && ALL_OF_PART(in_row, part)) {
-            unload_texels(cubic_of_run(int_of(&first, lane), wx, wy, part, width, image), part, texels);
+            const int at = int_of(&first, lane), columns[4] = {0, 1, 2, 3};
+            const int rows[4] = {at, at + width, at + 2 * width, at + 3 * width};
+            unload_texels(cubic_of_run(columns, rows, &cubic, part, image), part, texels);
             continue;
         }
         for (int k = lane; k < lane + TEXELS; ++k) {
@@ -67,7 +58,7 @@ INLINE Wide4 cubic_at(const Ints use, const Floats px_x, const Floats px_y, cons
                     columns[tap] = clamp(int_of(&x, k) + tap, 0, width - 1);
                     rows[tap] = clamp(int_of(&y, k) + tap, 0, height - 1) * width;
                 }
-                c = cubic_of_lane(columns, rows, wx, wy, k, image);
+                c = cubic_of_lane(columns, rows, &cubic, k, image);
             }
             vstore4(c, k, texels);
         }

@@ -387,14 +387,18 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global const uchar *source_smooth, __global Key *keys, __global uint *winners,
                             __global const half *color, __global const half *codes, __global const float *depth,
                             __global const uchar *dynamic_mask, __global const uchar *links,
-                            __global const float *target_position, __global half *out_color, __global float *out_depth,
-                            __global float2 *out_motion, __global uchar *out_dynamic, __global uchar *disoccluded,
-                            __global uchar *filled_by, __global uchar *mixed, __global uint *open) {
+                            __global const float *target_position, __global const float *sharpness,
+                            __global half *out_color, __global float *out_depth, __global float2 *out_motion,
+                            __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
+                            __global uchar *mixed, __global uint *open) {
     const int width = frame->source_width;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments from = fragments_of(frame, depth, target_position, links);
-    const Rendered shown = {
-        .color = color, .codes = codes, .dynamic_mask = dynamic_mask, .code_offset = frame->code_offset};
+    const Rendered shown = {.color = color,
+                            .codes = codes,
+                            .dynamic_mask = dynamic_mask,
+                            .code_offset = frame->code_offset,
+                            .sharpening = sharpening_of(sharpness, frame)};
     const Winners winning = {keys, winners};
     const NewFrame to = {.color = out_color,
                          .depth = out_depth,

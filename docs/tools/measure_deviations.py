@@ -89,6 +89,7 @@ GAE: dict[str, Change] = {
     "… above display white the code is compressed": Change(
         edits={"color_code.h": {"root > white_root ?": "false ?", "size > white ?": "false ?"}}
     ),
+    "edges are as sharp as earlier frames were": Change({"sharpness": False}),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
     "… of these, the mean with what the background knows": Change(
         edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}

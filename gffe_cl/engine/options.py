@@ -259,6 +259,13 @@ class Options:
         },
         flag="--resampling",
     )
+    sharpness: bool = _option(
+        True,
+        "sharpness",
+        "Sharpness of interpolated edges, as measured on rendered frames; off: plain cubic interpolation, which softens"
+        " them.",
+        flag="--no-sharpness",
+    )
     crack_closing: bool = _option(
         True,
         "crack closing",

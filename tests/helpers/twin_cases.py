@@ -13,6 +13,7 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.frame_block import reprojection
 
+SHARPNESS = 1.3  # of new frames, whatever was measured
 SCENE = Rects(
     [
         Rect((0, 0, 12), (9, 4), frequency=0.3),
@@ -31,7 +32,14 @@ CASES = {
     "cubic-larger": (Options(history=4, order=3, levels=3, blocks=False), *_LARGER),
     "downsample-smaller": (Options(hole_filling="downsample", blocks=False, acceleration=False), *_SMALLER),
     "literal": (
-        Options(crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample", resampling="linear"),
+        Options(
+            crack_closing=False,
+            static_threshold=0.7,
+            levels=0,
+            hole_filling="downsample",
+            resampling="linear",
+            sharpness=False,
+        ),
         *_SAME,
     ),
     "linear-smaller": (Options(resampling="linear", levels=3, blocks=False), *_SMALLER),
@@ -109,6 +117,11 @@ class Case(NamedTuple):
     def zoom(self):
         return np.array([self.to.fx / self.now.camera.fx, self.to.fy / self.now.camera.fy], np.float32)
 
+    @property
+    def sharpness(self):
+        """The sharpness with which the rendered frame is resampled."""
+        return twins.later(SHARPNESS if self.options.sharpness else 0, self.made.alpha)
+
     def read(self, stage, name):
         """Return a buffer of a stage."""
         return self.pipeline.stages[stage].read(name)
@@ -143,6 +156,8 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
         read_movers(pipeline),
     )
     pipeline.submit(now)
+    if options.sharpness:
+        pipeline.stages["sharpness"].upload("sharpness", np.array([SHARPNESS], np.float32))
     to = camera(*(target or (width, height)), (0.35, 0.07, 0.6), 0.075, 0.045, 0.035)
     return Case(pipeline, now, past, before, to, pipeline.extrapolate(to, now.time + 0.02))
 

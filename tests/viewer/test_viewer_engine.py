@@ -236,8 +236,8 @@ def test_every_layer_equals_a_plain_run(device):
         assert source.asked == [0, 1, 2, 3, 4, 5]
         milliseconds = result.milliseconds
         assert set(milliseconds) == {
-            *("scene_cuts", "history", "connectivity", "prediction", "backward_blocks", "color_code", "warp"),
-            *("hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
+            *("scene_cuts", "history", "sharpness", "connectivity", "prediction", "backward_blocks", "color_code"),
+            *("warp", "hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
         }  # fmt: skip
         # History tracking counts the samples of a cut, and encodes while the camera moves.
         assert milliseconds.pop("scene_cuts") == milliseconds.pop("color_code") == 0
@@ -912,11 +912,15 @@ def place_of(which, local, k):
 
 
 def test_stories_of_the_dilated_warp(device):
-    setup = Setup(Options.preset("performance"))
+    """Pixels between those of the rendered frame tell its sharpness, if it is measured."""
     with running(device, Clip()) as engine:
-        for hole, said in ((0, "nearest of 3×3 pixels"), (1, "nearest surface beside it")):
-            for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
-                assert story.sentences[0].startswith("It comes from (") and said in story.sentences[-1]
+        for sharpness in (True, False):
+            setup = Setup(Options.preset("performance", sharpness=sharpness))
+            for hole, said in ((0, "nearest of 3×3 pixels"), (1, "nearest surface beside it")):
+                for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
+                    assert story.sentences[0].startswith("It comes from (") and said in story.sentences[hole]
+                    between = any(c % 1 != 0.5 for c in story.source)  # else it is copied, as at the border
+                    assert ("a sharpness of" in story.sentences[-1]) == (sharpness and between)
 
 
 @pytest.mark.parametrize("windowed", [False, True])
@@ -978,7 +982,7 @@ def test_stories_of_acceleration(device):
     """The mover falls: nearly all of its acceleration lasts."""
     with running(device, Clip()) as engine:
         told = stories(engine, Setup(), 13, lambda i: (i["frame.filled_by"] == 0) & (i["frame.dynamic"] == 1))
-        bent = [story.sentences[-1] for story in told if "of its acceleration counts" in story.sentences[-1]]
+        bent = [said for story in told for said in story.sentences if "of its acceleration counts" in said]
         assert len(bent) > len(told) / 2 and sum(int(said.split("%")[0]) > 80 for said in bent) > len(bent) / 2
 
 

@@ -23,6 +23,7 @@ from gffe_cl.engine.stages.scene_cuts import SceneCuts
 from gffe_cl.engine.stages.shading import ShadingInputs
 from gffe_cl.engine.stages.shading_flow import ShadingFlow
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
+from gffe_cl.engine.stages.sharpness import Sharpness
 from gffe_cl.engine.stages.silhouettes import Silhouettes
 from gffe_cl.engine.stages.upscaling import Upscaling
 from gffe_cl.engine.stages.user_interface import UserInterface
@@ -33,6 +34,7 @@ STAGES: tuple[type[Stage], ...] = (
     UserInterface,
     SceneCuts,
     HistoryTracking,
+    Sharpness,
     Acceleration,
     Connectivity,
     PositionPrediction,

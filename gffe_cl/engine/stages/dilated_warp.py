@@ -30,6 +30,7 @@ class DilatedWarp(NearestStage):
                 "codes": "color_code.codes",
                 "dynamic_mask": "history.dynamic_mask",
                 "target_position": "prediction.target_position",
+                "sharpness": "sharpness.sharpness",
             }
             | _KEYS,
             NEW_FRAME,

@@ -64,6 +64,7 @@ class Warp(NearestStage):
                 "links": "connectivity.links",
                 "dynamic_mask": "history.dynamic_mask",
                 "target_position": "prediction.target_position",
+                "sharpness": "sharpness.sharpness",
             }
             | _KEYS,
             _KEYS | NEW_FRAME | {"mixed": "warp.mixed", "open": "warp.open"},

@@ -159,6 +159,7 @@ def _window(name: str, title: str, mode: str) -> Method:
 
 _PAPERS_WAY = {
     "resampling": "linear",
+    "sharpness": False,
     "crack_closing": False,
     "blocks": False,
     "camera_fixed": False,

@@ -23,7 +23,7 @@ def test_kernels_equal_their_twins(device, lanes, size, target, int64):
     case = run(device, *size, OPTIONS, int64, target)
     positions, dynamic = case.read("prediction", "target_position"), case.read("history", "dynamic_mask")
     keys = dilated_splat(positions, case.now.depth, case.zoom, case.pipeline.sizes.target)
-    expected = resample_dilated(keys, positions, case.now.color, dynamic, case.zoom, case.to_source)
+    expected = resample_dilated(keys, positions, case.now.color, dynamic, case.zoom, case.to_source, case.sharpness)
     for name in ("dynamic", "disoccluded", "filled_by"):
         assert np.array_equal(case.made.numpy(name), expected[name]), name
     for name in ("color", "depth", "motion"):

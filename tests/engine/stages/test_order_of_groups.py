@@ -17,6 +17,7 @@ OPTIONS = Options(shading_correction=False)
 SHARING = (
     "measure_samples",
     "refine_threshold",
+    "measure_sharpness",
     "find_reach",
     "splat",
     "scatter_level",

@@ -14,7 +14,7 @@ def test_kernels_equal_their_twins(case):
     got, dynamic = case.read("prediction", "target_position"), case.read("history", "dynamic_mask")
     target = case.pipeline.sizes.target
     keys = twins.splat(got, now.depth, links, case.zoom, target, case.options.crack_closing)
-    warped = twins.resolve(keys, got, now.color, now.depth, dynamic, links, case.zoom)
+    warped = twins.resolve(keys, got, now.color, now.depth, dynamic, links, case.zoom, case.sharpness)
     left = case.after("warp")
     for name in ("dynamic", "disoccluded", "mixed", "filled_by"):
         assert np.array_equal(left[name], warped[name]), name

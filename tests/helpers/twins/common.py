@@ -37,6 +37,11 @@ def encode_color(c):
     return np.copysign(np.where(root > white_root, bright, dark), c)
 
 
+def white():
+    """Return the code of display white; 1 in linear light."""
+    return F(4) * CODE_OFFSET * CODE_OFFSET if CODE_OFFSET else F(1)
+
+
 def decode_color(code):
     """Return colors of codes."""
     code = np.asarray(code, F)

@@ -59,7 +59,7 @@ def places_beside(keys, target_position, dynamic, zoom, to_source):
     return np.where(goes[..., None], moved, place)
 
 
-def resample_dilated(keys, target_position, color, dynamic, zoom, to_source):
+def resample_dilated(keys, target_position, color, dynamic, zoom, to_source, sharpness):
     """Return all outputs of the stage, as a dict of (H', W', …) arrays named like the frame's buffers."""
     height, width = keys.shape
     source_height, source_width = dynamic.shape
@@ -80,7 +80,7 @@ def resample_dilated(keys, target_position, color, dynamic, zoom, to_source):
             inside = (x < source_width) & (y < source_height) & (tx in (1, 2)) & (ty in (1, 2))
             alike[ty, tx] = whole | inside
             taps[ty, tx] = codes[np.clip(y, 0, source_height - 1), np.clip(x, 0, source_width - 1)]
-    out = resampled(taps, alike, u, v, rgb[sy, sx])
+    out = resampled(taps, alike, u, v, rgb[sy, sx], sharpness)
     out = np.where(((u == 0) & (v == 0))[..., None], rgb[sy, sx], out)
     z = target_position[sy, sx, 2]
     return {

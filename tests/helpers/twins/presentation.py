@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from twins.common import F, centers
-from twins.warp import _cubic_weights, load_color
+from twins.common import WARP, F, centers
+from twins.warp import cubic_weights, load_color
 
 
 def present(color, depth, motion, size, to_render, to_display, to_previous_display):
@@ -14,7 +14,7 @@ def present(color, depth, motion, size, to_render, to_display, to_previous_displ
     u, v = np.moveaxis(px - F(0.5) - corner, -1, 0)
     x0, y0 = np.moveaxis(corner.astype(int) - 1, -1, 0)
     rgb = load_color(color)
-    wx, wy = _cubic_weights(u), _cubic_weights(v)
+    wx, wy = (cubic_weights(t, WARP.CATMULL_ROM) for t in (u, v))
 
     def cubic(weights, taps):
         a, b, c, d = (weights[k][..., None] * taps[k] for k in range(4))

@@ -14,6 +14,7 @@ from twins.common import (
     encode_color,
     invalid,
     kernel_constants,
+    white,
 )
 
 SURFACES = kernel_constants("connectivity.cl")
@@ -243,35 +244,52 @@ def codes_of(color):
     return encode_color(load_color(color)).astype(np.float16)
 
 
-def _cubic_weights(t):
-    t2, t3 = t * t, t * t * t
+def cubic_weights(t, slope):
+    """Return weights of cubic convolution of the four taps around t, with `slope` at the taps."""
+    t2 = t * t
     t3 = t2 * t
-    h = F(0.5)
-    return np.stack(
-        [
-            -h * t + t2 - h * t3,
-            F(1) - F(2.5) * t2 + F(1.5) * t3,
-            h * t + F(2) * t2 - F(1.5) * t3,
-            h * t3 - h * t2,
-        ]
-    )
+    slope = F(slope)
+    return np.stack([
+        slope * (F(2) * t2 - t - t3),
+        F(1) + (slope - F(3)) * t2 + (F(2) - slope) * t3,
+        slope * t + (F(3) - F(2) * slope) * t2 + (slope - F(2)) * t3,
+        slope * (t3 - t2),
+    ])  # fmt: skip
 
 
-def resampled(taps, alike, u, v, own):
-    """Return color (…, 3) at (u, v) from the first inner tap: of codes `taps`, by row and column of 4×4, those `alike`;
-    `own` where none is."""
-    told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
-    everywhere = np.all([alike[tap] for tap in told_by], axis=0)
-    wx, wy = _cubic_weights(u), _cubic_weights(v)
+def later(sharpness, alpha):
+    """Return the sharpness of a new frame at `alpha`, after frames of that `sharpness`."""
+    return F(sharpness) * np.maximum(WARP.SHARP_AT_ONCE - WARP.LESS_SHARP_LATER * F(alpha), F(0))
+
+
+def cubic_of(taps, u, v, sharpness, white):
+    """Return codes at (u, v) from the first inner tap of 4×4 `taps`, by row and column, without corners."""
+    slope = WARP.CATMULL_ROM + WARP.SHARPER_SLOPE * sharpness
+    wx, wy = cubic_weights(u, slope), cubic_weights(v, slope)
     wx = wx * (F(1) / (F(1) - (wx[0] + wx[3]) * (wy[0] + wy[3])))
-    cubic = np.zeros((*u.shape, 3), F)
+    cubic = F(0)
     for tx in range(4):
         column = wy[1][..., None] * taps[1, tx] + wy[2][..., None] * taps[2, tx]
         if tx in (1, 2):
             column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
         cubic = cubic + wx[tx][..., None] * column
-    stack = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
-    cubic = np.clip(cubic, stack.min(0), stack.max(0))
+    outer = np.stack([taps[1, 0], taps[3, 1], taps[0, 2], taps[2, 3]])
+    inner = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
+    low, high = inner.min(0), inner.max(0)
+    span = WARP.FULL_EDGE - WARP.LEAST_EDGE
+    edge = np.clip((high - low) * (F(1 / span) / white) - F(WARP.LEAST_EDGE / span), F(0), F(1))
+    midway = F(1) - np.abs(F(2) * u - F(1)) * np.abs(F(2) * v - F(1))
+    amount = (WARP.STEEPER * sharpness * midway)[..., None]
+    cubic = cubic - amount * edge * (F(0.5) * (outer.min(0) + outer.max(0)) - cubic)
+    return np.clip(cubic, low, high)
+
+
+def resampled(taps, alike, u, v, own, sharpness):
+    """Return color (…, 3) at (u, v) from the first inner tap: of codes `taps`, by row and column of 4×4, those `alike`;
+    `own` where none is."""
+    told_by = [(ty, tx) for ty in range(4) for tx in range(4) if (ty in (1, 2)) == (tx in (1, 2))]
+    everywhere = np.all([alike[tap] for tap in told_by], axis=0)
+    cubic = cubic_of(taps, u, v, sharpness, white())
     linear, weights = np.zeros((*u.shape, 3), F), np.zeros(u.shape, F)
     for tap in range(4):
         tx, ty = tap & 1, tap >> 1
@@ -285,7 +303,7 @@ def resampled(taps, alike, u, v, own):
     return np.where(everywhere[..., None], decode_color(cubic), linear)
 
 
-def resolve(keys, target_position, color, depth, dynamic, links, zoom):
+def resolve(keys, target_position, color, depth, dynamic, links, zoom, sharpness):
     """Return all outputs of the warp, as a dict of (H', W', …) arrays named like the stage's buffers."""
     height, width = keys.shape
     source_height, source_width = depth.shape
@@ -336,7 +354,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom):
             inside, e = deviation(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
             _, y, x = at(o[..., 0] + tx - 1, o[..., 1] + ty - 1)
             alike[ty, tx], taps[ty, tx] = inside & (e <= WARP.SAME_MOTION), codes[y, x]
-    out = resampled(taps, alike, u, v, rgb[sy, sx])
+    out = resampled(taps, alike, u, v, rgb[sy, sx], sharpness)
     out = np.where(((p == 0).all(-1))[..., None], rgb[sy, sx], out)
     out = np.clip(out, -COLOR_MAX, COLOR_MAX)
 

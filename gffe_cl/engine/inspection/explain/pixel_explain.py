@@ -40,6 +40,7 @@ from gffe_cl.engine.stages.buffers import (
     BY_WARP,
     FILLED_BY,
 )
+from gffe_cl.engine.stages.sharpness import Sharpness
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 
 _MIXED = 2 * constants("background.cl")["SAME_LEVEL"]  # relative depth within which texels of a level are mixed
@@ -76,7 +77,8 @@ def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.
             if told
             else Story((x, y), "rendered frame", source_px)
         )
-    made = _with_silhouette(_how_it_was_made(pipeline, shot, x, y, source_px, values), values)
+    made = _with_sharpness(_how_it_was_made(pipeline, shot, x, y, source_px, values), pipeline, values)
+    made = _with_silhouette(made, values)
     return _with_upscaling(_with_correction(made, pipeline, values), pipeline, values)
 
 
@@ -102,6 +104,18 @@ def _with_upscaling(story: Story, pipeline: Pipeline, values: dict[str, np.ndarr
     said = "Upscaling: seen through the history of the rendered frame."
     if values[names.DISOCCLUDED][0]:
         said = "Upscaling: no history here, its own color is shown."
+    return replace(story, sentences=(*story.sentences, said))
+
+
+def _with_sharpness(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
+    """Return the story with the sharpness measured for its pixel, if that is resampled and not copied."""
+    number, px = int(values[names.FILLED_BY][0]), story.source
+    if Sharpness.name not in pipeline.stages or not px or all(abs(c % 1 - 0.5) < 0.01 for c in px):
+        return story
+    if pipeline.options.warps_footprints and (number not in (BY_WARP, BY_CRACK_CLOSING) or values[names.MIXED][0]):
+        return story
+    measured = float(pipeline.stages[Sharpness.name].read("sharpness").item())
+    said = f"Interpolated between pixels: a sharpness of {measured:.2f} was measured on rendered frames."
     return replace(story, sentences=(*story.sentences, said))
 
 
