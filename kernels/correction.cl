@@ -204,11 +204,12 @@ INLINE void store_where(const Ints holds, const Wide4 c, const int count, __glob
             ((__global uint2 *)out)[k] = ((__global const uint2 *)color)[k];
 }
 
-/* Mixes `then` into `now`, as much as its share tells. */
+/* Mixes the color `then` into `now`, as much as its share tells. */
 INLINE void mix_in(const Wide4 then, const Floats share, Wide4 *now) {
     const Floats rest = 1.0f - share;
 #pragma unroll
     for (int k = 0; k < 3; ++k) now->c[k] = now->c[k] * rest + then.c[k] * share;
+    now->c[3] = 0.0f;
 }
 
 /* refined: the network's image, with the detail of the extrapolated one as the network decides; out_color: that

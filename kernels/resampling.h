@@ -6,8 +6,6 @@
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
 #define SHARPER_SLOPE 0.16f /* by how much the cubic's slope grows for a sharpness of 1 */
 #define STEEPER 0.2f /* by how much an edge is steepened for a sharpness of 1, midway between pixels */
-#define SHARP_AT_ONCE 2.0f /* times the measured sharpness at alpha = 0, ... */
-#define LESS_SHARP_LATER 1.2f /* ... and less by this at 1: places are less certain */
 
 /* Of this sharpness, for codes with white as its own. */
 INLINE Sharpening sharpening(const float sharpness, const float white) {
@@ -22,8 +20,7 @@ INLINE float display_white(const float code_offset) {
 
 /* Of a new frame after rendered ones of the measured sharpness (sharpness.cl), if any is measured. */
 INLINE Sharpening sharpening_of(__global const float *measured, __constant Frame *frame) {
-    const float later = fmax(SHARP_AT_ONCE - LESS_SHARP_LATER * frame->alpha, 0.0f);
-    return sharpening(frame->sharpness ? *measured * later : 0.0f, display_white(frame->code_offset));
+    return sharpening(frame->sharpness ? *measured : 0.0f, display_white(frame->code_offset));
 }
 
 /* Images of the rendered frame that its fragments bring along. */

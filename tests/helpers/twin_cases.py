@@ -120,7 +120,7 @@ class Case(NamedTuple):
     @property
     def sharpness(self):
         """The sharpness with which the rendered frame is resampled."""
-        return twins.later(SHARPNESS if self.options.sharpness else 0, self.made.alpha)
+        return np.float32(SHARPNESS if self.options.sharpness else 0)
 
     def read(self, stage, name):
         """Return a buffer of a stage."""

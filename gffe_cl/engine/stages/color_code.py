@@ -36,5 +36,6 @@ class ColorCode(Stage):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        if not step.given.get("coded"):  # what is exported asks the frame block
+        *_, coded = step.rest
+        if not coded:  # what is exported asks the frame block
             self.launch("encode_colors", step)

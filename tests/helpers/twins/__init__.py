@@ -30,7 +30,7 @@ from twins.upload import (
     spread_geometry,
     undilated,
 )
-from twins.warp import BLOCKS, block_classes, later, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
+from twins.warp import BLOCKS, block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
 __all__ = [
     "BLOCKS",
@@ -70,7 +70,6 @@ __all__ = [
     "judge",
     "judge_with",
     "last_stir",
-    "later",
     "link_surfaces",
     "load_color",
     "measure_changes",

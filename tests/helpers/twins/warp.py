@@ -257,11 +257,6 @@ def cubic_weights(t, slope):
     ])  # fmt: skip
 
 
-def later(sharpness, alpha):
-    """Return the sharpness of a new frame at `alpha`, after frames of that `sharpness`."""
-    return F(sharpness) * np.maximum(WARP.SHARP_AT_ONCE - WARP.LESS_SHARP_LATER * F(alpha), F(0))
-
-
 def cubic_of(taps, u, v, sharpness, white):
     """Return codes at (u, v) from the first inner tap of 4×4 `taps`, by row and column, without corners."""
     slope = WARP.CATMULL_ROM + WARP.SHARPER_SLOPE * sharpness
