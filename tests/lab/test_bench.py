@@ -45,6 +45,7 @@ def test_bench(gffe, tmp_path):
                 "acceleration",
                 "prediction",
                 "backward_blocks",
+                "sharpness",
                 "warp",
                 "hidden_parts",
                 "background, collection",

@@ -252,7 +252,7 @@ def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
 def _change_around(q, d, warped, before):
     """Return (code in the frame before, squared change since), or None, of what lies in direction d beyond the edge (y,
     x) of a hole."""
-    y, x = q[0] + HOLES.AROUND * d[1], q[1] + HOLES.AROUND * d[0]
+    y, x = q[0] + HOLES.BEYOND_EDGE * d[1], q[1] + HOLES.BEYOND_EDGE * d[0]
     depth = warped["depth"]
     if not (0 <= y < depth.shape[0] and 0 <= x < depth.shape[1]) or warped["disoccluded"][y, x]:
         return None
