@@ -41,3 +41,8 @@ INLINE float3 load_code(__global const half *color, const int i, const float off
 INLINE void store_code(const float3 code, __global half *color, const int i, const float offset) {
     store_color(decode_color(code, offset), color, i);
 }
+
+/* The code of the color that is displayed as white: the color itself, 1, where codes are linear. */
+INLINE float display_white(const float code_offset) {
+    return code_offset > 0.0f ? 4.0f * code_offset * code_offset : 1.0f;
+}

@@ -357,7 +357,7 @@ INLINE float staleness(const float3 remembered, __local const float4 *changes, c
         known += 1.0f;
     }
     if (!(known > 0.0f)) return 0.0f;
-    const float white = offset > 0.0f ? 4.0f * offset * offset : 1.0f, change = divide(sum.w, known);
+    const float white = display_white(offset), change = divide(sum.w, known);
     const float contrast = squared(remembered - mean_of(sum.xyz, known));
     return divide(change, change + CONTRAST_COUNTS * contrast + 3.0f * LEAST_CHANGE * white * white);
 }

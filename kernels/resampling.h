@@ -1,5 +1,6 @@
 /* Resampling of the rendered frame at LANES places: cubic, and bilinear over some of the taps, of colors' codes. */
 
+#include "color_code.h"
 #include "encode.h"
 #include "cubic.h"
 
@@ -12,10 +13,6 @@ INLINE Sharpening sharpening(const float sharpness, const float white) {
     const Sharpening sharp = {CATMULL_ROM + SHARPER_SLOPE * sharpness, true, STEEPER * sharpness,
                               divide(1.0f / (FULL_EDGE - LEAST_EDGE), white)};
     return sharp;
-}
-
-INLINE float display_white(const float code_offset) {
-    return code_offset > 0.0f ? 4.0f * code_offset * code_offset : 1.0f;
 }
 
 /* Of a new frame after rendered ones of the measured sharpness (sharpness.cl), if any is measured. */
