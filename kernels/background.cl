@@ -345,25 +345,19 @@ INLINE int start_of(const int level, const int4 starts) {
 /* The new frame as the warp leaves it, and whom fragments are offered to. */
 typedef struct {
     int width, pixels, pass;
-    __global const uchar *disoccluded, *mixed;
-    __global const float *depth;
+    __global const uchar *disoccluded;
     __global Key *keys;
     __global uint *winners;
 } Uncovered;
 
-/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface
-   whose own color is a makeshift: their fragment's color was mixed with that of a silhouette. */
+/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid. */
 INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
                             const Uncovered to) {
     for (int dst_y = y0; dst_y <= y1; ++dst_y) {
         const int first = dst_y * to.width + x0, last = dst_y * to.width + x1;
-        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first)
-            && run_is_zero(to.mixed + first))
-            continue;
-        for (int dst = first; dst <= last; ++dst) {
-            const bool alike = to.mixed[dst] && is_same_surface(z, to.depth[dst], SAME_LEVEL * to.depth[dst]);
-            if (to.disoccluded[dst] || alike) offer(to.pass, to.keys, to.winners, dst, z, texel);
-        }
+        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first)) continue;
+        for (int dst = first; dst <= last; ++dst)
+            if (to.disoccluded[dst]) offer(to.pass, to.keys, to.winners, dst, z, texel);
     }
 }
 
@@ -371,8 +365,7 @@ INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int 
 SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const int pass,
                                        __global const float *levels_depth, __global const int *levels_px,
                                        __global const uchar *levels_state, __global const uchar *disoccluded,
-                                       __global const uchar *mixed, __global const float *depth, __global Key *keys,
-                                       __global uint *winners) {
+                                       __global Key *keys, __global uint *winners) {
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint count;
     const int4 starts = frame->level_starts;
@@ -381,8 +374,6 @@ SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const i
                           .pixels = target_width * target_height,
                           .pass = pass,
                           .disoccluded = disoccluded,
-                          .mixed = mixed,
-                          .depth = depth,
                           .keys = keys,
                           .winners = winners};
     const float2 zoom = frame->zoom;
@@ -460,8 +451,7 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
 }
 
 /* Fills the open pixels that remembered fragments won, but for movers' hidden parts. Where the frame before still
-   showed the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two
-   estimates of one surface, the mean is shown. */
+   showed the surface its color comes from there, at full resolution. */
 WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global const half *color_prev,
                                     __global const float *depth_prev, __global const uchar *state_prev,
                                     __global const half *frame_color, __global const float *frame_depth,
@@ -473,9 +463,7 @@ WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
     const int target_width = frame->target_width;
     const Before before = {.color = color_prev, .depth = depth_prev, .state = state_prev};
     for (uint i = get_global_id(0); i < open[0]; i += get_global_size(0)) {
-        const uint entry = LISTED(open, i);
-        const bool is_hole = entry < MIXED_FLAG;
-        const int dst = (int)(entry & ~MIXED_FLAG), dst_x = dst % target_width, dst_y = dst / target_width;
+        const int dst = (int)LISTED(open, i), dst_x = dst % target_width, dst_y = dst / target_width;
         const uint winner = winner_of(keys, winners, dst);
         if (winner == NOBODY) continue;
         if (IS_OF_MOVER(filled_by[dst])) continue; /* its key may be that of a part that reappears */
@@ -504,10 +492,8 @@ WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
         if (!frame->has_previous || !shown_before(center, nearest_z, frame, before, &remembered))
             remembered = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner, side,
                                       center, frame, texels);
-        if (!is_hole) remembered = 0.5f * (remembered + load_code(color, dst, frame->code_offset));
         store_code(remembered, color, dst, frame->code_offset);
         filled_by[dst] = (uchar)(1 + level);
-        if (!is_hole) continue;
         depth[dst] = nearest_z;
         motion[dst] = px_source.xy - center;
     }

@@ -308,7 +308,7 @@ INLINE void offer_at_edges(const bool wanted, const int pass, __constant Frame *
     }
 }
 
-/* Fills the open pixels that are holes, a team of work-items for each. If parts `reappear`, empties the keys that they
+/* Fills the open pixels, a team of work-items for each. If parts `reappear`, empties the keys that they
    will be offered to, which nothing else here reads, and the list of where. */
 SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, const int reappear,
                                           __global const float *source_depth, __global const float2 *source_motion,
@@ -332,14 +332,14 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         /* Team by team look into all directions ... */
         const uint hole = entry_of(open, first + team);
-        for (int k = item % TEAM; hole < MIXED_FLAG && k < DIRECTIONS; k += TEAM)
+        for (int k = item % TEAM; hole != NO_ENTRY && k < DIRECTIONS; k += TEAM)
             sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
         barrier(CLK_LOCAL_MEM_FENCE);
 
         /* ... and one work-item fills a hole. */
-        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
         const int dst_x = (int)own % width, dst_y = (int)own / width;
-        if (own < MIXED_FLAG && !fill_entering(dst_x, dst_y, frame, images))
+        if (own != NO_ENTRY && !fill_entering(dst_x, dst_y, frame, images))
             fill_hidden_part(dst_x, dst_y, sides[item], frame, images);
         barrier(CLK_LOCAL_MEM_FENCE);
     }

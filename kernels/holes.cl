@@ -378,7 +378,7 @@ INLINE void mix_far_side(const int dst, __local const Side *sides, __local const
 
 /* Whether an open pixel is a hole that the background has filled. */
 INLINE bool is_of_background(const uint entry, __global const uchar *filled_by) {
-    return entry < MIXED_FLAG && filled_by[entry] != BY_HOLE_FILLING && !IS_OF_MOVER(filled_by[entry]);
+    return entry != NO_ENTRY && filled_by[entry] != BY_HOLE_FILLING && !IS_OF_MOVER(filled_by[entry]);
 }
 
 /* Two preparations for fill_far_side, which do not touch each other's buffers. Lines at the image's border, but not
@@ -405,7 +405,7 @@ WALK __kernel void prepare_far_side(__constant Frame *restrict frame, __global c
             changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
         }
         barrier(CLK_LOCAL_MEM_FENCE);
-        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
         if (is_of_background(own, filled_by)) mix_far_side((int)own, sides[item], changes[item], frame, color);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
@@ -433,7 +433,7 @@ INLINE void fill_pixel(const int dst_x, const int dst_y, const float4 mean, __co
 #define BEYOND_REACH -1.0f /* depth of pixels that have no far side within reach, until they are filled */
 
 INLINE bool is_unfilled(const uint entry, __global const uchar *filled_by) {
-    return entry < MIXED_FLAG && filled_by[entry] == BY_HOLE_FILLING;
+    return entry != NO_ENTRY && filled_by[entry] == BY_HOLE_FILLING;
 }
 
 /* Whether a pixel of the new frame shows a mover, or what was made up for one. */
@@ -516,7 +516,7 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
             if (sides[team][k].meets && !sides[team][k].can_be_there)
                 look_past(hole_x, hole_y, k, reach, frame, images, &sides[team][k]);
         barrier(CLK_LOCAL_MEM_FENCE);
-        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
         if (is_unfilled(own, filled_by)) {
             const int dst_x = (int)own % width, dst_y = (int)own / width;
             float4 mean;

@@ -91,9 +91,6 @@ GAE: dict[str, Change] = {
     ),
     "edges are as sharp as earlier frames were": Change({"sharpness": False}),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
-    "… of these, the mean with what the background knows": Change(
-        edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}
-    ),
     "the surface met at x' is checked": Change(
         constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
     ),

@@ -10,7 +10,7 @@ UNDONE = "rendered.undone"
 
 # of the extrapolated frame
 DEPTH, MOTION, DYNAMIC = "frame.depth", "frame.motion", "frame.dynamic"
-DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "warp.mixed"
+DISOCCLUDED, FILLED_BY = "frame.disoccluded", "frame.filled_by"
 
 # of stages
 HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "history.dynamic_mask"

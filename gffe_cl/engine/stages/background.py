@@ -89,13 +89,7 @@ class Background(NearestStage):
         Kernel(
             "project_levels",
             "levels{levels}",
-            _levels("depth px state")
-            | {
-                "disoccluded": "frame.disoccluded",
-                "mixed": "warp.mixed",
-                "depth": "frame.depth",
-            }
-            | _PROJECTED,
+            _levels("depth px state") | {"disoccluded": "frame.disoccluded"} | _PROJECTED,
             _PROJECTED,
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",

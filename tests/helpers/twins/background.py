@@ -163,9 +163,7 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
             y0, y1 = max(int(np.ceil(y - half[1] - F(0.5))), 0), min(int(np.floor(y + half[1] - F(0.5))), height - 1)
             key = (z, number, ty * wide + tx)
             for cell in ((cy, cx) for cy in range(y0, y1 + 1) for cx in range(x0, x1 + 1)):
-                shown = warped["depth"][cell]
-                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= BACKGROUND.SAME_LEVEL * shown
-                if holes[cell] or (warped["mixed"][cell] and alike):
+                if holes[cell]:
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centers(height, width)
 
@@ -206,10 +204,8 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
         found = total / weights if weights > F(0.01) else load_code(level["color"][ty, tx])
         sharp = shown_before(px[y, x], z, *before)
         found = found if sharp is None else sharp
-        found = found if holes[y, x] else F(0.5) * (found + load_code(warped["color"][y, x]))
         out["color"][y, x, :3] = decode_color(found)
         out["filled_by"][y, x] = 1 + number
-        if holes[y, x]:
-            out["depth"][y, x] = z
-            out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
+        out["depth"][y, x] = z
+        out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
     return out
