@@ -9,6 +9,7 @@
 #include "flow.h"
 #include "blocks.h"
 #include "layers.h"
+#include "border_lines.h"
 #include "lists.h"
 #include "thresholds.h"
 
@@ -371,7 +372,8 @@ INLINE void copy_pixels(const Fragments from, const Rendered shown, const NewFra
     store_labels(to, pixel, LANES, (Bytes)(STATIC), ALL_LANES);
 }
 
-/* LANES pixels per work-item. Lists those that are open. */
+/* LANES pixels per work-item. Lists those that are open. Finds lines at the rendered image's border, too, for holes that
+   continue their far side; but not under a camera that stays, which has nothing out of screen. */
 LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
                             __global const uchar *block_class, __global const float8 *block_source,
                             __global const uchar *source_smooth, __global const Key *keys, __global const uint *winners,
@@ -380,7 +382,7 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global const float *target_position, __global const float *sharpness,
                             __global half *out_color, __global float *out_depth, __global float2 *out_motion,
                             __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
-                            __global uint *open) {
+                            __global uint *open, __global float *border_lines) {
     const int width = frame->source_width;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments from = fragments_of(frame, depth, target_position, links);
@@ -402,6 +404,9 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
     const bool backward = class == BACKWARD;
     const float8 source = backward ? block_source[block] : (float8)(0.0f);
     Ints left = (Ints)(0); /* lanes that are left open */
+    if (frame->far_side && !frame->stays)
+        find_border_lines(get_global_id(1) * get_global_size(0) + get_global_id(0),
+                          get_global_size(0) * get_global_size(1), frame, codes, border_lines);
     if (is_pixel && class == COPIED) {
         copy_pixels(from, shown, to, dst);
     } else if (is_pixel) {

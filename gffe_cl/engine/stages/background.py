@@ -103,8 +103,9 @@ class Background(NearestStage):
                 "open": "warp.open",
                 "color_prev": "previous.color",
                 "depth_prev": "previous.depth",
-                "state_prev": "background.state_0'",
+                "disoccluded": "frame.disoccluded",
                 "color": "frame.color",
+                "depth": "frame.depth",
                 "filled_by": "frame.filled_by",
             }
             | _levels("color depth px state")

@@ -250,10 +250,8 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
         front = float(values[names.RENDERED_DEPTH][0])
         hides = f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
         said.append(Step(hides, *_to_source(shot, source_px)))
-    if getattr(pipeline.stages.get("holes"), "mixes", False):
-        said.append(
-            "Its color is mixed with that of the surface beside the hole; a near and uniform surface counts more."
-        )
+    if pipeline.options.hole_filling == "far-side":
+        said.append("Its color is mixed with that of the surface beside the hole, which counts more the nearer it is.")
     now = (pixel[0] + 0.5, pixel[1] + 0.5)
     path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)
     return Story(pixel, _filled_by(1 + level), source_px, path, level=level, level_px=at, sentences=tuple(said))
