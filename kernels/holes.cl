@@ -322,8 +322,8 @@ downsample(__constant Frame *restrict frame, __global const uchar *filled_by, __
         const int dst = dst_y * width + dst_x;
         if (filled_by[dst] != BY_HOLE_FILLING)
             add(&sum, &inverse_sum, 1.0f, frame->exposure, load_color(color, dst), depth[dst]);
-        const int src = (dst_y * frame->source_height / height) * frame->source_width
-                        + dst_x * frame->source_width / width;
+        const int src =
+            (dst_y * frame->source_height / height) * frame->source_width + dst_x * frame->source_width / width;
         const float z = source_depth[src];
         if (!INVALID_DEPTH(z))
             add(&sum, &inverse_sum, RENDERED_WEIGHT, frame->exposure, load_color(source_color, src), z);

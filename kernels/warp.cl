@@ -372,8 +372,8 @@ INLINE void copy_pixels(const Fragments from, const Rendered shown, const NewFra
     store_labels(to, pixel, LANES, (Bytes)(STATIC), ALL_LANES);
 }
 
-/* LANES pixels per work-item. Lists those that are open. Finds lines at the rendered image's border, too, for holes that
-   continue their far side; but not under a camera that stays, which has nothing out of screen. */
+/* LANES pixels per work-item. Lists those that are open. Finds lines at the rendered image's border, too, for holes
+   that continue their far side; but not under a camera that stays, which has nothing out of screen. */
 LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
                             __global const uchar *block_class, __global const float8 *block_source,
                             __global const uchar *source_smooth, __global const Key *keys, __global const uint *winners,
