@@ -277,19 +277,21 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                            .depth = depth,
                            .motion = motion};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
-    const int reach = max(LEAST_REACH, width / REACH_SHARE), whole = width + frame->target_height;
+    const int reach = max(LEAST_REACH, width / REACH_SHARE), whole = reach + width + frame->target_height;
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         const uint hole = entry_of(open, first + team);
         const bool is_open = is_unfilled(hole, filled_by);
         const int hole_x = (int)hole % width, hole_y = (int)hole / width;
-        for (int k = item % TEAM; is_open && k < DIRECTIONS; k += TEAM)
-            sides[team][k] = look_beside(hole_x, hole_y, k, reach, frame, images);
-        barrier(CLK_LOCAL_MEM_FENCE);
-        const bool looks_on = is_open && !meets_any(sides[team]);
-        const bool looks_past = is_open && may_look_past(sides[team]);
-        barrier(CLK_LOCAL_MEM_FENCE);
-        for (int k = item % TEAM; looks_on && k < DIRECTIONS; k += TEAM)
-            sides[team][k] = look_beside(hole_x, hole_y, k, whole, frame, images);
+        bool looks = is_open, looks_past = false;
+#pragma unroll 1
+        for (int to = reach; to <= whole; to += whole - reach) {
+            for (int k = item % TEAM; looks && k < DIRECTIONS; k += TEAM)
+                sides[team][k] = look_beside(hole_x, hole_y, k, to, frame, images);
+            barrier(CLK_LOCAL_MEM_FENCE);
+            looks_past |= is_open && to == reach && may_look_past(sides[team]);
+            looks &= !meets_any(sides[team]);
+            barrier(CLK_LOCAL_MEM_FENCE);
+        }
         for (int k = item % TEAM; looks_past && k < DIRECTIONS; k += TEAM)
             if (sides[team][k].meets && !sides[team][k].can_be_there)
                 look_past(hole_x, hole_y, k, reach, frame, images, &sides[team][k]);

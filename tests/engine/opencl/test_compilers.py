@@ -323,6 +323,7 @@ EXCESSES = {
     ("upscaling.accumulate", "dg2-g10", "SIMD8"): ("16 taps of four channels; not among the defaults", "libigc1"),
     ("warp.splat", "dg2-g10", "SIMD8"): ("it finds layers, too", ""),
     ("background.fill_from_levels", "sm_86", "registers"): ("a walk over few pixels", ""),
+    ("background.fill_from_levels", "dg2-g10", "SIMD8"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
