@@ -17,6 +17,7 @@
 #include "blocks.h"
 #include "flow.h"
 #include "lists.h"
+#include "thresholds.h"
 
 /* What set the thresholds: docs/deviations.md, "Hidden parts of movers", "Parts that the frame before showed
    reappear". */
@@ -61,7 +62,8 @@ INLINE bool was_seen_through(const int x, const int y, const float2 px_source, c
     return HIDES * z_prev > reproject(px_source, z_source, frame->to_previous).z;
 }
 
-/* Steps to the first mover in direction d, a part of which may have been hidden here; 0: none. */
+/* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
+   0: none. */
 INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
@@ -69,6 +71,11 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     const int t = first_other(dst, offset, steps, f.is_dynamic, 0);
     if (t == 0) return 0;
     const float z = f.depth[dst + t * offset];
+    for (int first = 1; first < t; first += AT_ONCE) {
+        uint shown = others_from(first, t - 1, dst, offset, f.disoccluded, 1);
+        for (; shown; shown &= shown - 1)
+            if (!(f.depth[dst + min(first + first_of(shown), t - 1) * offset] < z * NEARER)) return 0;
+    }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
     if (!holds(frame->source_width, frame->source_height, px_source)) return 0;

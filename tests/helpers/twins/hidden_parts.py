@@ -24,9 +24,13 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
 
     def mover(y, x, d):
         """Return (distance, pixel) of the first mover in direction d, or None."""
+        before = []
         for distance, q in march(y, x, d, reach, depth.shape):
             if not dynamic[q]:
+                before += [] if holes[q] else [depth[q]]
                 continue
+            if any(not z < depth[q] * HIDDEN.NEARER for z in before):
+                return None
             px = moves_along(q, y, x)
             if not (0 <= px[0] < width and 0 <= px[1] < height):
                 return None

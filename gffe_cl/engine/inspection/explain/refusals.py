@@ -58,7 +58,7 @@ def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step
     if "hidden_parts" not in pipeline.stages:
         return None
     reach = max(_MOVERS["MOVER_REACH"], pipeline.sizes.target[0] // _MOVERS["MOVER_REACH_SHARE"])
-    wanted = (names.DYNAMIC, names.DEPTH, names.MOTION)
+    wanted = (names.DYNAMIC, names.DEPTH, names.MOTION, names.DISOCCLUDED)
     block = _Block(pipeline, shot, pixel, reach, wanted)
     met = (block.first(direction, lambda x, y: bool(block.at(names.DYNAMIC, x, y)[0])) for direction in _DIRECTIONS)
     found = {way: at for way, at in zip(_DIRECTIONS, met, strict=True) if at is not None}
@@ -92,6 +92,14 @@ def _was_hidden(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -
     moment, layers = shot.moment, device_layers(pipeline, shot)
     camera, rendered, depth_of = moment.camera, moment.render_camera, layers[names.RENDERED_DEPTH]
     z, place = float(block.at(names.DEPTH, x, y)[0]), _moves_along(shot, block, x, y)
+    steps = max(abs(x - block.pixel[0]), abs(y - block.pixel[1]))
+    for t in range(1, steps):
+        between = (
+            block.pixel[0] + t * (x - block.pixel[0]) // steps, block.pixel[1] + t * (y - block.pixel[1]) // steps
+        )  # fmt: skip
+        depth = float(block.at(names.DEPTH, *between)[0])
+        if not block.at(names.DISOCCLUDED, *between)[0] and not depth < _MOVERS["NEARER"] * z:
+            return False, f"a surface between them at depth {depth:.4g} does not stand before the mover at {z:.4g}."
     was = f"it would have been at ({place[0]:.1f}, {place[1]:.1f}) of rendered frame {moment.k}"
     shown = _depth_at(pipeline, depth_of, place)
     if shown is None:
