@@ -16,7 +16,6 @@ import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import gpu_model
 from pages import DOCS, MEASURED, PICTURES, REPOSITORY, recorded, table, with_all
 from scatter import Point, scatter
 
@@ -149,7 +148,7 @@ def times_text() -> str:
     """Return the times of a frame of 1920×1080, for the README."""
     default, fast = (recorded(name)["devices"][0]["sizes"][0] for name in ("gpu", "gpu_performance"))
     gae, scn = (default["milliseconds"][part] for part in ("GAE", "SCN"))
-    wall, preset, computed = default["wall"], fast["milliseconds"]["GAE"], gpu_model.on_the_gpu("GAE")
+    wall, preset = default["wall"], fast["milliseconds"]["GAE"]
     rows = {name: _method(name) for name in ("gffe", "no-scn", "performance", PEER)}
     of_full, of_gae, of_preset, of_peer = (_milliseconds(row["milliseconds"]) for row in rows.values())
     less = {name: rows["gffe"]["psnr"] - row["psnr"] for name, row in rows.items()}
@@ -160,9 +159,7 @@ def times_text() -> str:
         f" {of_gae} ms without it, and {of_preset} ms with `--preset performance`, which gives"
         f" {less['performance']:.1f} dB less than the default on `plaza`. The cheapest"
         f" [other method](docs/performance.md#other-methods) takes {of_peer} ms, with"
-        f" {less[PEER]:.1f} dB less there. Computed for a GeForce RTX 4070 Ti Super"
-        f" ([the model](docs/performance.md#gpus-a-model)): {computed} ms of kernels without the network."
-        " `gffe bench --device gpu` measures yours."
+        f" {less[PEER]:.1f} dB less there. `gffe bench --device gpu` measures yours."
     )
 
 
@@ -178,8 +175,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "memory": memory_table,
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
-    "model": gpu_model.model_table,
-    "model_assumptions": gpu_model.assumptions_table,
     "io": io_table,
     "gpu": gpu_table,
     "methods_text": methods_text,
