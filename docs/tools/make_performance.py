@@ -5,7 +5,7 @@
                                                                        forest and a sequence: the same anywhere
 
 The other records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and on a quiet machine
-`gffe bench --methods --json docs/measured/methods.json` and `gffe bench --io --json docs/measured/io.json`.
+`gffe bench --methods --json docs/measured/methods.json`.
 """
 
 from __future__ import annotations
@@ -53,25 +53,6 @@ def size_of_traffic() -> str:
     width, height = found["part"]
     whole = "×".join(map(str, found["size"]))
     return f"In {width}×{height} pixels of `{found['of']}`, {whole}, which are much like the rest."
-
-
-def io_table() -> str:
-    rows = []
-    for device in recorded("io")["devices"]:
-        for one in device["frames"]:
-            ways = ("upload", "zero_copy", "copy_in"), ("download", "mapped", "copy_out")
-            times = (" / ".join(f"{one[way]:.1f}" for way in direction) for direction in ways)
-            pixels = one["width"] * one["height"]
-            copied = " / ".join(f"{one[way] / pixels:.0f}" for way in ("copied", "zero_copied"))
-            where = _runtime(f"{device['device']} ({device['platform']})")
-            rows.append((where, one["color"], *times, f"**{one['ratio']:.2f}**", copied))
-    heads = (
-        "in: upload / zero-copy / plain copies, ms",
-        "out: download / mapped / plain copy, ms",
-        "ratio",
-        "written on the way in: upload / zero-copy, B/px",
-    )
-    return table(("on", "color", *heads), rows)
 
 
 _FAST = "GAE, preset `performance`"
@@ -175,7 +156,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "memory": memory_table,
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
-    "io": io_table,
     "gpu": gpu_table,
     "methods_text": methods_text,
     "methods": methods_table,
