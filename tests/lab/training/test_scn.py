@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from gffe_cl.engine.core.errors import GffeError  # noqa: E402
 from gffe_cl.engine.inference import network as inference  # noqa: E402
-from gffe_cl.engine.stages.shading_trend import TREND_PLANES, reach_of  # noqa: E402
+from gffe_cl.engine.stages.shading_trend import TREND_PLANES, spacing_of  # noqa: E402
 from gffe_cl.lab import metrics  # noqa: E402
 from gffe_cl.lab.metrics import focus_mask, shading_regions, to_display  # noqa: E402
 from gffe_cl.lab.training import clips, images, losses, network  # noqa: E402
@@ -391,7 +391,7 @@ def test_trends_are_what_the_stage_finds():
     height, cells = 540, 24
     known = (random(1, 1, cells, cells, seed=2) < 0.7).float()
     changes = (random(1, 3, cells, cells) - 0.5) * known
-    expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), reach_of(height))[:3]
+    expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), spacing_of(height))[:3]
     spread = [torch.repeat_interleave(torch.repeat_interleave(x, 4, -1), 4, -2) for x in (changes, known)]
     found = low_pass(*spread, torch.tensor([float(height)]))
     assert found.shape == (1, 3, 2 * cells, 2 * cells)
