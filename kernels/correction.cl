@@ -20,7 +20,6 @@
 #define KEPT 3 /* channels of the correction, after its change of color: detail that is kept, ... */
 #define MASK 4 /* ... focus mask */
 #define SLOPE 0.1f /* of leaky rectifiers */
-#define DISOCCLUDED_BELOW 0.4f /* mean input mask of four pixels, at most 0.375 with a disoccluded, no dynamic one */
 #define CHANGE_MARGIN 2.0f /* largest continued change of light, times its last change */
 /* TRUSTED: of the focus mask: all while the last change differs by half of its square from the one before, ... */
 #define TRUSTED 3.0f
@@ -135,8 +134,7 @@ INLINE Ints is_trusted_around(__global const float *trusted, const int width, co
 }
 
 /* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Texture is kept whatever the
-   network says. Nothing is changed in disocclusions, where a change of light is indistinguishable from another
-   surface. Where nobody uses the result, it is no change, all detail, and no mask. */
+   network says. Where nobody uses the result, it is no change, all detail, and no mask. */
 WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __global const float *frames,
                          __global const float *trends, __global const float *judgement, __global const float *chosen,
                          __constant float *head, __global const float *texture, __global const int *changed,
@@ -179,8 +177,7 @@ WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __gl
     }
     const Floats keep = sigmoid(said[3]), kept = keep + (1.0f - keep) * interpolate(texture, &taps);
     store_floats(used ? kept : (Floats)(1.0f), 0, correction + KEPT * plane);
-    const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
-    const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
+    const Floats mask = *changed ? 2.0f * said[4] - DOUBT : (Floats)(0.0f);
     const Floats trusted = interpolate(chosen + 3 * quarter, &taps);
     const Floats shown = mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask;
     store_floats(used ? shown : (Floats)(0.0f), 0, correction + MASK * plane);

@@ -207,11 +207,10 @@ def test_bad_output_counts_as_no_mask(device, model, bad, focus_mask):
 
 
 def test_alpha_reaches_the_network(device, model):
-    """And to disocclusions nothing does."""
     pipeline, made = corrected(device, model(mask="alpha"))
     assert made.alpha == pytest.approx(0.6)
-    mask, hidden = pipeline.stages["correction"].read("focus_mask"), made.numpy("disoccluded") > 0
-    assert (mask[hidden] < made.alpha).mean() > 0.8 and 0.5 < (mask == np.float16(np.float32(made.alpha))).mean() < 1
+    mask = pipeline.stages["correction"].read("focus_mask")
+    assert (mask == np.float16(np.float32(made.alpha))).mean() > 0.5
 
 
 def test_exposure_reaches_the_network(device, tmp_path):

@@ -57,9 +57,7 @@ def judge(frames, trends, judgement, chosen, head, texture, refined=False):
         said = said + second[:, k, None, None] * leaky(total)
     number = (flow_x - flow_x) + (flow_y - flow_y)
     delta = said[:3] + moved + said[5] * trend + number
-    mask = np.where(
-        frames[7] < CORRECTION.DISOCCLUDED_BELOW, F(0), np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
-    )
+    mask = np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
     keep = sigmoid(said[3])
     keep = keep + (F(1) - keep) * doubled(texture)
     made = np.concatenate([delta, keep[None], (mask * trusted)[None]])
