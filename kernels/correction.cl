@@ -11,9 +11,8 @@
 /* What set the thresholds: docs/deviations.md, "The mask minimizes the error of the final frame", "Flickering light is
    left alone". */
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
-#define FLOW_UNIT 4.0f       /* pixels of a quarter of the resolution, of the network's own flow */
 #define DETAIL 4             /* channels at half resolution, of which the network gives four pixels each */
-#define JUDGED 4 /* channels before them: own flow (2), how far the found one is followed, how long trends last */
+#define JUDGED 4 /* channels before them: none (2), how far the found flow is followed, how long trends last */
 #define SEEN 16 /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
 #define HIDDEN 16 /* channels of its hidden layer */
 #define SAID 6 /* outputs: change of color (3), detail that is kept, likelihood of the mask, share of the trend */
@@ -61,12 +60,9 @@ WIDE __kernel void choose_flow(__constant Frame *restrict frame, __global const 
     judgement += y * width + x;
     candidates += y * width + x;
     chosen += y * width + x;
-    const Floats follow = sigmoid(load_floats(0, judgement + 2 * plane));
-    for (int axis = 0; axis < 2; ++axis) {
-        const Floats own = FLOW_UNIT * load_floats(0, judgement + axis * plane);
-        const Floats found = frame->alpha * (FOUND_UNIT * load_floats(0, candidates + (FOUND + axis) * plane));
-        store_floats(2.0f * (own + follow * (found - own)), 0, chosen + axis * plane);
-    }
+    const Floats follow = 2.0f * FOUND_UNIT * frame->alpha * sigmoid(load_floats(0, judgement + 2 * plane));
+    for (int axis = 0; axis < 2; ++axis)
+        store_floats(follow * load_floats(0, candidates + (FOUND + axis) * plane), 0, chosen + axis * plane);
     const Floats lasts = load_floats(0, candidates + HELD * plane) + load_floats(0, judgement + 3 * plane);
     store_floats(lasts == lasts ? clamp(lasts, (Floats)(0.0f), (Floats)(1.0f)) : lasts, 0, chosen + 2 * plane);
     Taps taps;
