@@ -8,7 +8,7 @@ import pytest
 
 from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.lab import metrics
-from gffe_cl.lab.metrics import METRICS, RegionErrors, psnr, shading_regions, smape, ssim, to_display
+from gffe_cl.lab.metrics import METRICS, RegionErrors, focus_mask, psnr, shading_regions, smape, ssim, to_display
 
 
 def test_display_values():
@@ -63,6 +63,21 @@ def test_smape():
     assert out.shape == (1, 2)
     np.testing.assert_allclose(out, [[2 / 1.01 / 3, 0]], rtol=1e-6)
     np.testing.assert_allclose(smape(a, b, exposure=0.01)[0, 0], 0.02 / 0.02 / 3, rtol=1e-5)
+
+
+def test_focus_mask_is_where_a_shadow_has_moved():
+    """A shadow a pixel off is forgiven, one further off is not; movers are never in focus."""
+    color, truth, dynamic = np.ones((16, 32, 3)), np.ones((16, 32, 3)), np.zeros((16, 32), np.uint8)
+    color[:, 8:14], truth[:, 9:15] = 0.2, 0.2
+    assert smape(color, truth).max() > 0.5 and not focus_mask(color, truth, dynamic).any()
+    truth[:, 9:15], truth[:, 12:18] = 1, 0.2
+    expected = np.zeros_like(dynamic)
+    expected[:, 8:11], expected[:, 14:17] = 1, 1
+    assert np.array_equal(focus_mask(color, truth, dynamic), expected)
+    dynamic[:8] = 1
+    expected[:8] = 0
+    assert np.array_equal(focus_mask(color, truth, dynamic), expected)
+    assert not focus_mask(color, truth, dynamic, 1e-4).any()  # too dark to see
 
 
 def images(seed=0, shape=(20, 30, 3)):
