@@ -22,7 +22,7 @@ typedef struct {
     __global const half *source_color;
     __global const half *codes; /* of it */
     __global const float *source_depth;
-    __global const uchar *is_dynamic;
+    __global const uchar *source_is_dynamic, *is_dynamic;
     __global const float *border_lines;
     __global half *color;
     __global float *depth;
@@ -225,6 +225,14 @@ INLINE Lines lines_at(const float along, const float out, const bool horizontal,
     return lines;
 }
 
+/* Whether the border of the rendered frame shows a mover where a place out of screen is closest to it, such as the pillar
+   of a cab: it hides what goes on beyond the image. */
+INLINE bool border_shows_mover(const float2 px_source, __constant Frame *frame, const Images f) {
+    const int x = (int)clamp(px_source.x, 0.0f, (float)(frame->source_width - 1)),
+              y = (int)clamp(px_source.y, 0.0f, (float)(frame->source_height - 1));
+    return f.source_is_dynamic[y * frame->source_width + x];
+}
+
 /* Color of a place out of screen: lines at the border of the rendered image go on, and fade where they have no common
    direction. */
 INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, const Images f) {
@@ -297,7 +305,8 @@ INLINE bool continue_surface(const int dst_x, const int dst_y, __local const Sid
                           frame->code_offset);
     if (!out_of_screen) return true;
     const float3 px_source = static_source(dst_x, dst_y, mean->w, frame->to_source);
-    if (px_source.z > 0.0f) mean->xyz = color_beyond(px_source.xy, frame, f);
+    if (px_source.z > 0.0f && !border_shows_mover(px_source.xy, frame, f))
+        mean->xyz = color_beyond(px_source.xy, frame, f);
     return true;
 }
 
@@ -481,13 +490,15 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
 /* Fills pixels that are still invalid from the far side, a team of work-items for each. */
 WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global const uint *open,
                                  __global const uchar *filled_by, __global const half *codes,
-                                 __global const float *source_depth, __global const uchar *is_dynamic,
+                                 __global const float *source_depth, __global const uchar *source_is_dynamic,
+                                 __global const uchar *is_dynamic,
                                  __global const float *border_lines, __global half *color, __global float *depth,
                                  __global float2 *motion, __global uint *beyond) {
     __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.filled_by = filled_by,
                            .codes = codes,
                            .source_depth = source_depth,
+                           .source_is_dynamic = source_is_dynamic,
                            .is_dynamic = is_dynamic,
                            .border_lines = border_lines,
                            .color = color,
