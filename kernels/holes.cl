@@ -42,6 +42,10 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
 #define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
 #define PAST_SHARE 4 /* part of the reach within which directions look past what they have met */
 #define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
+#define PAST_EDGE 2.0f /* steps in the rendered frame from the edge of a surface to what is behind it ... */
+#define BEHIND_EDGE 0.25f /* which counts this much of what is beside the hole */
+
+INLINE float inverse_of(const float z) { return isinf(z) ? 0.0f : divide(1.0f, z); }
 
 /* What a direction from a hole meets: whether it `meets` a pixel beside the hole, the pixel, its code, inverse depth
    and 1 / distance (1/px); whether it is a mover's; continued to the hole, whether it lies outside of the rendered
@@ -60,7 +64,7 @@ INLINE void meet(Side *side, const int dst, const int t, const int2 d, __constan
     const float3 code = load_code(color, px, frame->code_offset);
     side->px = px;
     side->closeness = divide(1.0f, (float)t * step_length(d));
-    side->inverse = isinf(z) ? 0.0f : divide(1.0f, z);
+    side->inverse = inverse_of(z);
     side->code_x = code.x;
     side->code_y = code.y;
     side->code_z = code.z;
@@ -225,8 +229,8 @@ INLINE Lines lines_at(const float along, const float out, const bool horizontal,
     return lines;
 }
 
-/* Whether the border of the rendered frame shows a mover where a place out of screen is closest to it, such as the pillar
-   of a cab: it hides what goes on beyond the image. */
+/* Whether the border of the rendered frame shows a mover where a place out of screen is closest to it, such as the
+   pillar of a cab: it hides what goes on beyond the image. */
 INLINE bool border_shows_mover(const float2 px_source, __constant Frame *frame, const Images f) {
     const int x = (int)clamp(px_source.x, 0.0f, (float)(frame->source_width - 1)),
               y = (int)clamp(px_source.y, 0.0f, (float)(frame->source_height - 1));
@@ -348,8 +352,7 @@ INLINE float4 change_around(const int k, __local const Side *side, __constant Fr
     if (!side->meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
     const float z = depth[dst];
     float3 code;
-    if (!is_as_far(isinf(z) ? 0.0f : divide(1.0f, z), side->inverse)
-        || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
+    if (!is_as_far(inverse_of(z), side->inverse) || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
         return unknown;
     const float3 change = load_code(color, dst, frame->code_offset) - code;
     return (float4)(code, squared(change));
@@ -459,8 +462,38 @@ INLINE bool may_look_past(__local const Side *sides) {
     return any_is_static && !any_is_outside;
 }
 
+/* The pixel of the rendered frame that shows what is behind the surface that direction k meets, PAST_EDGE steps towards
+   the hole; -1 unless that surface ends there, before something static that is farther. */
+INLINE int behind_edge(const Side side, const int k, __constant Frame *frame, const Images f) {
+    const int width = frame->source_width;
+    const int2 d = direction(k);
+    const float2 place = pixel_center(side.px % frame->target_width, side.px / frame->target_width) + f.motion[side.px]
+                         - PAST_EDGE * (float2)((float)d.x, (float)d.y);
+    if (!holds(width, frame->source_height, place)) return -1;
+    const int src = (int)place.y * width + (int)place.x;
+    const float z = f.source_depth[src];
+    if (INVALID_DEPTH(z) || f.source_is_dynamic[src]) return -1;
+    return side.inverse > inverse_of(z) * FAR_SIDE ? src : -1;
+}
+
+/* Lets a direction from a hole meet what is behind the surface that it has met, in the rendered frame's pixel `src`. */
+INLINE void meet_behind(Side *side, const int dst_x, const int dst_y, const int src, __constant Frame *frame,
+                        const Images f) {
+    const float3 code = stored_code(f.codes, src);
+    side->inverse = inverse_of(f.source_depth[src]);
+    side->closeness *= BEHIND_EDGE;
+    side->code_x = code.x;
+    side->code_y = code.y;
+    side->code_z = code.z;
+    const float3 px_source = static_source(dst_x, dst_y, side->inverse, frame->to_source);
+    const bool is_outside = is_out_of_screen(px_source, frame);
+    side->is_outside = is_outside && !side->is_of_mover;
+    side->can_be_there = is_outside ? side->is_of_mover : can_be_at(px_source, frame, f.source_depth);
+}
+
 /* Looks on in direction k, past the mover or the surface before the hole (a bar, say) that it has met, for a static
-   surface that can be there. Without any, what was made up for a mover does not count either. */
+   surface that can be there. Without any it meets what the rendered frame shows behind that, and what was made up for a
+   mover does not count either. */
 INLINE void look_past(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
                       const Images f, __local Side *side) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
@@ -473,7 +506,7 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
         if (f.filled_by[px] == BY_HOLE_FILLING || is_of_mover(px, f)) continue; /* others write depth there */
         const float z = f.depth[px];
         if (!(z > before)) continue;
-        const float3 px_source = static_source(dst_x, dst_y, isinf(z) ? 0.0f : divide(1.0f, z), frame->to_source);
+        const float3 px_source = static_source(dst_x, dst_y, inverse_of(z), frame->to_source);
         if (!is_out_of_screen(px_source, frame) && can_be_at(px_source, frame, f.source_depth)) {
             Side found = {.meets = true, .can_be_there = true};
             meet(&found, dst, t, d, frame, f.depth, f.color);
@@ -481,6 +514,13 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
             return;
         }
         before = z;
+    }
+    const int behind = behind_edge(*side, k, frame, f);
+    if (behind >= 0) {
+        Side found = *side;
+        meet_behind(&found, dst_x, dst_y, behind, frame, f);
+        *side = found;
+        return;
     }
     if (!IS_OF_MOVER(f.filled_by[side->px])) return;
     side->meets = false;
@@ -491,9 +531,9 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
 WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global const uint *open,
                                  __global const uchar *filled_by, __global const half *codes,
                                  __global const float *source_depth, __global const uchar *source_is_dynamic,
-                                 __global const uchar *is_dynamic,
-                                 __global const float *border_lines, __global half *color, __global float *depth,
-                                 __global float2 *motion, __global uint *beyond) {
+                                 __global const uchar *is_dynamic, __global const float *border_lines,
+                                 __global half *color, __global float *depth, __global float2 *motion,
+                                 __global uint *beyond) {
     __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.filled_by = filled_by,
                            .codes = codes,
@@ -515,8 +555,10 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
             if (s.meets) {
                 const float3 px_source = static_source(hole_x, hole_y, s.inverse, frame->to_source);
                 s.is_of_mover = is_of_mover(s.px, images);
-                s.is_outside = is_out_of_screen(px_source, frame);
-                s.can_be_there = !s.is_outside && !s.is_of_mover && can_be_at(px_source, frame, source_depth);
+                const bool ends = behind_edge(s, k, frame, images) >= 0,
+                           is_outside = is_out_of_screen(px_source, frame);
+                s.is_outside = is_outside && !ends;
+                s.can_be_there = !is_outside && !ends && !s.is_of_mover && can_be_at(px_source, frame, source_depth);
             }
             sides[team][k] = s;
         }
