@@ -33,7 +33,8 @@ def test_kernels_equal_their_twins(case):
         codes = case.read("color_code", "codes")[..., :3]
         np.testing.assert_allclose(lines, twins.border_lines(codes), rtol=1e-4, atol=1e-6 * np.abs(lines).max())
         assert (lines[0] > 0).sum() > 10
-    surfaces = twins.continued_surfaces(warped, reach, case.to_source, *source, lines)
+    rendered = *source, case.read("history", "dynamic_mask")
+    surfaces = twins.continued_surfaces(warped, reach, case.to_source, rendered, lines)
     asked = twins.asked_texels(warped, surfaces)
     sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
     np.testing.assert_allclose(case.read("holes", "downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
@@ -73,7 +74,8 @@ def test_block_means_reach_over_work_groups(device, filling):
     to_source = reprojection(to, frame.camera)
     source = (twins.load_color(frame.color), frame.depth)
     lines = stage.read("border_lines") if stage.reach else None
-    surfaces = twins.continued_surfaces(before, stage.reach, to_source, *source, lines)
+    rendered = *source, pipeline.stages["history"].read("dynamic_mask")
+    surfaces = twins.continued_surfaces(before, stage.reach, to_source, rendered, lines)
     asked = twins.asked_texels(before, surfaces)
     assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
     sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
