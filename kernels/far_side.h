@@ -7,6 +7,8 @@
 /* What set the threshold: docs/deviations.md, "Holes continue surfaces that can be there". */
 #define FAR_SIDE 1.3f /* inverse depths up to this times another are of the same surface, or of a farther one */
 
+INLINE float inverse_of(const float z) { return isinf(z) ? 0.0f : divide(1.0f, z); }
+
 /* What a direction from a hole meets: whether it `meets` a pixel beside the hole, the pixel, its code, inverse depth
    and 1 / distance (1/px); whether it is a mover's; continued to the hole, whether it lies outside of the rendered
    image, and whether it can be there as a static surface. */
@@ -24,7 +26,7 @@ INLINE void meet(Side *side, const int dst, const int t, const int2 d, __constan
     const float3 code = load_code(color, px, frame->code_offset);
     side->px = px;
     side->closeness = divide(1.0f, (float)t * step_length(d));
-    side->inverse = isinf(z) ? 0.0f : divide(1.0f, z);
+    side->inverse = inverse_of(z);
     side->code_x = code.x;
     side->code_y = code.y;
     side->code_z = code.z;

@@ -20,7 +20,7 @@ typedef struct {
     __global const uchar *filled_by;
     __global const half *codes; /* of its colors */
     __global const float *source_depth;
-    __global const uchar *is_dynamic;
+    __global const uchar *source_is_dynamic, *is_dynamic;
     __global const float *border_lines;
     __global half *color;
     __global float *depth;
@@ -32,13 +32,15 @@ INLINE void add(float4 *sum, float *inverse_sum, const float pixel_weight, const
                 const float z) {
     const float weight = divide(pixel_weight, 1.0f + exposure * fmax(fmax(c.x, fmax(c.y, c.z)), 0.0f));
     *sum += weight * (float4)(c, 1.0f);
-    *inverse_sum += weight * (isinf(z) ? 0.0f : divide(1.0f, z));
+    *inverse_sum += weight * inverse_of(z);
 }
 
 /* ---- far side ------------------------------------------------------------------------------------------------ */
 
 #define PAST_SHARE 4 /* part of the reach within which directions look past what they have met */
 #define IN_FRONT 0.98f /* times the depth that is shown: nearer surfaces lie in front of it */
+#define PAST_EDGE 2.0f /* steps in the rendered frame from the edge of a surface to what is behind it ... */
+#define BEHIND_EDGE 0.25f /* which counts this much of what is beside the hole */
 
 /* Where a static pixel is in the rendered image, and its depth there; z <= 0: behind the camera. */
 INLINE float3 static_source(const int dst_x, const int dst_y, const float inverse_depth, const Reprojection to_source) {
@@ -108,6 +110,14 @@ INLINE Lines lines_at(const float along, const float out, const bool horizontal,
     const float unexplained = inward + lines.slope * (2.0f * both + lines.slope * across);
     lines.spread = root(divide(fmax(unexplained, 0.0f), sure));
     return lines;
+}
+
+/* Whether the border of the rendered frame shows a mover where a place out of screen is closest to it, such as the
+   pillar of a cab: it hides what goes on beyond the image. */
+INLINE bool border_shows_mover(const float2 px_source, __constant Frame *frame, const Images f) {
+    const int x = (int)clamp(px_source.x, 0.0f, (float)(frame->source_width - 1)),
+              y = (int)clamp(px_source.y, 0.0f, (float)(frame->source_height - 1));
+    return f.source_is_dynamic[y * frame->source_width + x];
 }
 
 /* Color of a place out of screen: lines at the border of the rendered image go on, and fade where they have no common
@@ -187,7 +197,8 @@ INLINE float4 continued_surface(const int dst_x, const int dst_y, __local const 
     float4 mean =
         weighted_mean(sides, out_of_screen ? out_of_screen : surface_behind(sides), out_of_screen != 0, offset);
     const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
-    if (out_of_screen && px_source.z > 0.0f) mean.xyz = color_beyond(px_source.xy, frame, f);
+    if (out_of_screen && px_source.z > 0.0f && !border_shows_mover(px_source.xy, frame, f))
+        mean.xyz = color_beyond(px_source.xy, frame, f);
     return mean;
 }
 
@@ -220,8 +231,38 @@ INLINE bool may_look_past(__local const Side *sides) {
     return any_is_static && !any_is_outside;
 }
 
+/* The pixel of the rendered frame that shows what is behind the surface that direction k meets, PAST_EDGE steps towards
+   the hole; -1 unless that surface ends there, before something static that is farther. */
+INLINE int behind_edge(const Side side, const int k, __constant Frame *frame, const Images f) {
+    const int width = frame->source_width;
+    const int2 d = direction(k);
+    const float2 place = pixel_center(side.px % frame->target_width, side.px / frame->target_width) + f.motion[side.px]
+                         - PAST_EDGE * (float2)((float)d.x, (float)d.y);
+    if (!holds(width, frame->source_height, place)) return -1;
+    const int src = (int)place.y * width + (int)place.x;
+    const float z = f.source_depth[src];
+    if (INVALID_DEPTH(z) || f.source_is_dynamic[src]) return -1;
+    return side.inverse > inverse_of(z) * FAR_SIDE ? src : -1;
+}
+
+/* Lets a direction from a hole meet what is behind the surface that it has met, in the rendered frame's pixel `src`. */
+INLINE void meet_behind(Side *side, const int dst_x, const int dst_y, const int src, __constant Frame *frame,
+                        const Images f) {
+    const float3 code = stored_code(f.codes, src);
+    side->inverse = inverse_of(f.source_depth[src]);
+    side->closeness *= BEHIND_EDGE;
+    side->code_x = code.x;
+    side->code_y = code.y;
+    side->code_z = code.z;
+    const float3 px_source = static_source(dst_x, dst_y, side->inverse, frame->to_source);
+    const bool is_outside = is_out_of_screen(px_source, frame);
+    side->is_outside = is_outside && !side->is_of_mover;
+    side->can_be_there = is_outside ? side->is_of_mover : can_be_at(px_source, frame, f.source_depth);
+}
+
 /* Looks on in direction k, past the mover or the surface before the hole (a bar, say) that it has met, for a static
-   surface that can be there. Without any, what was made up for a mover does not count either. */
+   surface that can be there. Without any it meets what the rendered frame shows behind that, and what was made up for a
+   mover does not count either. */
 INLINE void look_past(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
                       const Images f, __local Side *side) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
@@ -234,7 +275,7 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
         if (f.filled_by[px] == BY_HOLE_FILLING || is_of_mover(px, f)) continue; /* others write depth there */
         const float z = f.depth[px];
         if (!(z > before)) continue;
-        const float3 px_source = static_source(dst_x, dst_y, isinf(z) ? 0.0f : divide(1.0f, z), frame->to_source);
+        const float3 px_source = static_source(dst_x, dst_y, inverse_of(z), frame->to_source);
         if (!is_out_of_screen(px_source, frame) && can_be_at(px_source, frame, f.source_depth)) {
             Side found = {.meets = true, .can_be_there = true};
             meet(&found, dst, t, d, frame, f.depth, f.color);
@@ -242,6 +283,13 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
             return;
         }
         before = z;
+    }
+    const int behind = behind_edge(*side, k, frame, f);
+    if (behind >= 0) {
+        Side found = *side;
+        meet_behind(&found, dst_x, dst_y, behind, frame, f);
+        *side = found;
+        return;
     }
     if (!IS_OF_MOVER(f.filled_by[side->px])) return;
     side->meets = false;
@@ -255,8 +303,9 @@ INLINE Side look_beside(const int dst_x, const int dst_y, const int k, const int
     if (!s.meets) return s;
     const float3 px_source = static_source(dst_x, dst_y, s.inverse, frame->to_source);
     s.is_of_mover = is_of_mover(s.px, f);
-    s.is_outside = is_out_of_screen(px_source, frame);
-    s.can_be_there = !s.is_outside && !s.is_of_mover && can_be_at(px_source, frame, f.source_depth);
+    const bool ends = behind_edge(s, k, frame, f) >= 0, is_outside = is_out_of_screen(px_source, frame);
+    s.is_outside = is_outside && !ends;
+    s.can_be_there = !is_outside && !ends && !s.is_of_mover && can_be_at(px_source, frame, f.source_depth);
     return s;
 }
 
@@ -264,13 +313,15 @@ INLINE Side look_beside(const int dst_x, const int dst_y, const int k, const int
    reach, directions go on to the image's border. */
 WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global const uint *open,
                                  __global const uchar *filled_by, __global const half *codes,
-                                 __global const float *source_depth, __global const uchar *is_dynamic,
-                                 __global const float *border_lines, __global half *color, __global float *depth,
+                                 __global const float *source_depth, __global const uchar *source_is_dynamic,
+                                 __global const uchar *is_dynamic, __global const float *border_lines,
+                                 __global half *color, __global float *depth,
                                  __global float2 *motion) {
     __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.filled_by = filled_by,
                            .codes = codes,
                            .source_depth = source_depth,
+                           .source_is_dynamic = source_is_dynamic,
                            .is_dynamic = is_dynamic,
                            .border_lines = border_lines,
                            .color = color,

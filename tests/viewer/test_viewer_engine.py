@@ -1046,9 +1046,13 @@ def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene
                     assert away > most
             if "took the mean of those" not in taken:
                 continue
-            (x, y), beside = story.pixel, [link.pixel for link in taken.links]
-            weights = [1 / np.hypot(px - x, py - y) for px, py in beside]
-            inverse = [1 / images["frame.depth"][py, px] for px, py in beside]
+            (x, y), weights, inverse = story.pixel, [], []
+            for px, py in (link.pixel for link in taken.links):
+                said = taken.split(f"({px}, {py}) at")[1].split(", (")[0].split(". The")[0]
+                *_, depth = said.split("before depth ")
+                ends = depth != said
+                weights.append((0.25 if ends else 1) / np.hypot(px - x, py - y))
+                inverse.append(1 / (float(depth) if ends else images["frame.depth"][py, px]))
             assert images["frame.depth"][y, x] == pytest.approx(1 / np.average(inverse, weights=weights), rel=1e-3)
             checked += 1
             past += " in front at depth " in taken

@@ -86,6 +86,7 @@ class FarSide(HoleFilling):
                 "filled_by": "frame.filled_by",
                 "codes": "color_code.codes",
                 "source_depth": "rendered.depth",
+                "source_is_dynamic": "history.dynamic_mask",
                 "is_dynamic": "frame.dynamic",
                 "border_lines": "warp.border_lines",
             }

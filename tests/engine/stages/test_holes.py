@@ -16,13 +16,14 @@ from gffe_cl.engine.stages.frame_block import reprojection
 def filled_holes(pipeline, warped, frame, to_source):
     """Return what the twin makes of holes. Lines at the border, or sums of blocks, are the twin's; sums are float32 on
     the device and float64 in the twin."""
-    stage, source = pipeline.stages["holes"], (twins.load_color(frame.color), frame.depth)
+    stage = pipeline.stages["holes"]
     if stage.reach:
         lines = pipeline.stages["warp"].read("border_lines")
         expected = twins.border_lines(pipeline.stages["color_code"].read("codes")[..., :3])
         np.testing.assert_allclose(lines, expected, rtol=1e-4, atol=1e-6 * np.abs(lines).max())
         assert (lines[0] > 0).sum() > 10
-        return twins.fill_far_side(warped, stage.reach, to_source, *source, lines)
+        rendered = twins.load_color(frame.color), frame.depth, pipeline.stages["history"].read("dynamic_mask")
+        return twins.fill_far_side(warped, stage.reach, to_source, rendered, lines)
     sums = twins.downsample(warped, frame.color, frame.depth)
     np.testing.assert_allclose(stage.read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
     np.testing.assert_allclose(stage.read("downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
@@ -110,6 +111,31 @@ def test_slit_between_a_bar_and_a_mover_shows_what_is_behind_them(device):
     hole, columns = out.numpy("filled_by") == 255, np.nonzero(out.numpy("depth")[0] < 6)[0]
     assert hole.sum() >= H and not hole[:, : columns[0]].any() and not hole[:, columns[-1] :].any()
     np.testing.assert_allclose(out.numpy("depth")[hole], 10, rtol=1e-3)
+
+
+def test_mover_at_the_border_does_not_go_on_beyond_it(device):
+    """What the camera carries along stands at the border, as the pillar of a cab: out of screen is the wall behind."""
+    speed = 60
+    cameras = [camera(W, H, (speed * k / 30, 0, 0)) for k in range(4)]
+    wall = Rect((0, 0, 10), (99, 99), tint=(0.2, 0.6, 0.2))
+    pillar = Rect((2.25, 0, 2), (1, 3), velocity=(speed, 0, 0), tint=(0.9, 0.1, 0.1))
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, Rects([wall, pillar]), cameras[:3], [0, 1 / 30, 2 / 30])
+    out = pipeline.extrapolate(cameras[3], 3 / 30)
+    hole, color, depth = out.numpy("filled_by") == 255, out.numpy("color"), out.numpy("depth")
+    assert hole.sum() > 10 * H and (color[hole][:, 1] > color[hole][:, 0]).all()
+    assert (np.abs(depth - 10) < 0.1)[hole].mean() > 0.99
+
+
+def test_surface_that_ends_does_not_go_on_into_a_hole(device):
+    """A board ended in view before a wall, which then hides behind it: beyond the board is the wall all the same."""
+    cameras = [camera(W, H, (2 - k, 0, 0), 0.15 * (k - 2)) for k in range(4)]
+    board = Rect((-96.15, 0, 5), (99, 99))
+    pipeline = Pipeline(device, W, H)
+    submit(pipeline, Rects([Rect((0, 0, 20), (99, 99)), board]), cameras[:3], [0, 1 / 30, 2 / 30])
+    out = pipeline.extrapolate(cameras[3], 3 / 30)
+    hole, depth = out.numpy("filled_by") == 255, out.numpy("depth")
+    assert hole.sum() > 10 * H and (depth[hole] > 18).mean() > 0.7
 
 
 def test_turning_away_fills_everything(device):

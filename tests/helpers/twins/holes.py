@@ -1,5 +1,7 @@
 """Twin of holes.cl."""
 
+from typing import NamedTuple
+
 import numpy as np
 
 from twins.common import (
@@ -153,78 +155,128 @@ def surface_behind(met):
     return [(w, values) for inverse, w, values in candidates if are_as_far(inverse, first)]
 
 
-def continued_surface(warped, y, x, reach, to_source, source_color, source_depth, lines):
-    """Return (color, inverse depth) of the surface that goes on into one hole; `source_color`: (height, width, 3);
-    `lines`: `border_lines`."""
+class _Side(NamedTuple):
+    """What a direction from a hole meets: the pixel `q` beside it, inverse depth, color code, and weight; whether it is
+    `of_mover`; continued to the hole, whether it is `outside` of the rendered image, and whether it `can_be_there`; the
+    pixel of the rendered frame that shows what is `behind` its edge, if it ends there."""
+
+    q: tuple
+    inverse: F
+    code: np.ndarray
+    weight: F
+    of_mover: bool
+    outside: bool
+    can_be_there: bool
+    behind: tuple | None
+
+
+def _inverse_of(z):
+    return F(0) if np.isinf(z) else F(1) / z
+
+
+def _at(place):
+    return int(place[1]), int(place[0])
+
+
+def continued_surface(warped, y, x, reach, to_source, rendered, lines):
+    """Return (color, inverse depth) of the surface that goes on into one hole; `rendered`: color (height,
+    width, 3), depth, and dynamic mask of the rendered frame; `lines`: `border_lines`."""
     depth, filled_by = warped["depth"], warped["filled_by"]
+    source_color, source_depth, source_dynamic = rendered
 
     def is_made_up(q):
         return filled_by[q] in (COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING)
 
-    def is_of_mover(q):
-        return bool(warped["dynamic"][q]) or is_made_up(q)
+    def can_be_at(place):
+        shown = source_depth[_at(place)]
+        return bool(shown > 0 and not place[2] < F(HOLES.IN_FRONT) * shown)
 
-    def inverse(q):
-        return F(0) if np.isinf(depth[q]) else F(1) / depth[q]
+    def behind_edge(q, d):
+        """Return the pixel of the rendered frame that shows what is behind the edge of the surface met at `q`."""
+        px = np.array([q[1] + 0.5, q[0] + 0.5], F)
+        place = *(px + warped["motion"][q].astype(F) - F(HOLES.PAST_EDGE) * np.array(d, F)), 1
+        if is_outside(place, source_color):
+            return None
+        z = source_depth[_at(place)]
+        if invalid(z) or source_dynamic[_at(place)]:
+            return None
+        return _at(place) if _inverse_of(depth[q]) > _inverse_of(z) * F(HOLES.FAR_SIDE) else None
 
-    def place(q):
-        return source_of(y, x, inverse(q), to_source)
+    def side(distance, q, d):
+        place = source_of(y, x, _inverse_of(depth[q]), to_source)
+        outside, behind = is_outside(place, source_color), behind_edge(q, d)
+        of_mover = bool(warped["dynamic"][q]) or is_made_up(q)
+        can_be_there = not outside and behind is None and not of_mover and can_be_at(place)
+        values = q, _inverse_of(depth[q]), load_code(warped["color"][q]), F(1) / distance
+        return _Side(*values, of_mover, outside and behind is None, can_be_there, behind)
 
-    def can_be_there(q):
-        at = place(q)
-        if is_of_mover(q) or is_outside(at, source_color):
-            return False
-        shown = source_depth[int(at[1]), int(at[0])]
-        return shown > 0 and not at[2] < F(HOLES.IN_FRONT) * shown
-
-    def behind(way):
-        """Return the first pixel of `way` that can be there; else the first of all, unless it was made up."""
-        before = F(0)
+    def past(way, d):
+        """Return the first side on `way` that can be there; else what is behind the first one of all, or that, unless
+        it was made up."""
+        first = side(*way[0], d)
+        if first.can_be_there:
+            return first
+        before = F(0) if first.of_mover else depth[first.q]
 
         def steps(q):
             return max(abs(q[0] - y), abs(q[1] - x))
 
-        last = steps(way[0][1]) + reach // HOLES.PAST_SHARE
-        for distance, q in way:
-            if steps(q) > last:
+        for distance, q in way[1:]:
+            if steps(q) > steps(first.q) + reach // HOLES.PAST_SHARE:
                 break
-            if is_of_mover(q) or not depth[q] > before:
+            if warped["dynamic"][q] or is_made_up(q) or not depth[q] > before:
                 continue
-            if can_be_there(q):
-                return distance, q
+            place = source_of(y, x, _inverse_of(depth[q]), to_source)
+            if not is_outside(place, source_color) and can_be_at(place):
+                return side(distance, q, d)._replace(can_be_there=True, outside=False, of_mover=False)
             before = depth[q]
-        return None if is_made_up(way[0][1]) else way[0]
+        if first.behind is None:
+            return None if is_made_up(first.q) else first
+        inverse = _inverse_of(source_depth[first.behind])
+        place = source_of(y, x, inverse, to_source)
+        outside = is_outside(place, source_color)
+        return first._replace(
+            inverse=inverse,
+            code=encode_color(source_color[first.behind]),
+            weight=first.weight * F(HOLES.BEHIND_EDGE),
+            outside=outside and not first.of_mover,
+            can_be_there=first.of_mover if outside else can_be_at(place),
+        )
 
     def mean(weighted):
         found = sum(w * values for w, values in weighted) / sum(w for w, _ in weighted)
         return np.append(decode_color(found[:3]), found[3])
 
-    def values(q):
-        return np.append(load_code(warped["color"][q]), inverse(q))
+    def values(one):
+        return np.append(one.code, one.inverse)
 
     def looked(reach):
-        marches = [march(y, x, d, reach, depth.shape) for d in DIRECTIONS]
-        return [way for steps in marches if (way := [m for m in steps if filled_by[m[1]] != COMMON.BY_NOTHING])]
+        marches = [(d, march(y, x, d, reach, depth.shape)) for d in DIRECTIONS]
+        return [(way, d) for d, steps in marches if (way := [m for m in steps if filled_by[m[1]] != COMMON.BY_NOTHING])]
 
-    ways = looked(reach) or looked(sum(depth.shape))
+    is_far = not (ways := looked(reach))
+    ways = ways or looked(sum(depth.shape))
     if not ways:
         return np.append(decode_color(_border_code((F(x + 0.5), F(y + 0.5)), source_color)), F(0))
-    outside = [(F(1) / d, q) for d, q in (way[0] for way in ways) if is_outside(place(q), source_color)]
-    if outside:
-        found = mean([(w * w, values(q)) for w, q in outside])
+    met = [side(*way[0], d) for way, d in ways]
+    if not is_far and not any(one.outside for one in met) and not all(one.of_mover for one in met):
+        met = [one for way, d in ways if (one := past(way, d))]
+    if outside := [one for one in met if one.outside]:
+        found = mean([(one.weight * one.weight, values(one)) for one in outside])
         at = source_of(y, x, found[3], to_source)
-        return np.append(beyond(at, source_color, lines), found[3]) if at[2] > 0 else found
-    met = [way[0] for way in ways]
-    if not all(is_of_mover(q) for _, q in met):
-        met = [m for way in ways if (m := behind(way))]
-    return mean(surface_behind([(inverse(q), F(1) / d, values(q), can_be_there(q)) for d, q in met]))
+        height, width = source_dynamic.shape
+        border = _at(np.clip(at[:2], 0, (width - 1, height - 1)))
+        if not at[2] > 0 or source_dynamic[border]:
+            return found
+        return np.append(beyond(at, source_color, lines), found[3])
+    return mean(surface_behind([(one.inverse, one.weight, values(one), one.can_be_there) for one in met]))
 
 
-def fill_far_side(warped, reach, to_source, source_color, source_depth, lines):
+def fill_far_side(warped, reach, to_source, rendered, lines):
     """Return color, depth, motion of the warped frame with its holes filled by `continued_surface`."""
     mean, mean_inverse = np.zeros((*warped["depth"].shape, 3)), np.zeros(warped["depth"].shape)
     for at in map(tuple, np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING)):
-        found = continued_surface(warped, *at, reach, to_source, source_color, source_depth, lines)
+        found = continued_surface(warped, *at, reach, to_source, rendered, lines)
         mean[at], mean_inverse[at] = found[:3], found[3]
     return _filled(warped, mean, mean_inverse, to_source)
 

@@ -165,7 +165,8 @@ def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], so
 class _Taken(NamedTuple):
     """A pixel beside the hole: its depth and `inverse` depth, and 1 / distance. The hole's pixel at that depth is
     `outside` of the rendered image, or may be a surface `behind` what that shows. It is of a `mover`, or was `made_up`
-    for one. `past`: what the direction met first, which cannot be there."""
+    for one. `past`: what the direction met first, which cannot be there. `beyond`: the depth of what the rendered frame
+    shows where its surface ends before that."""
 
     at: tuple[int, int]
     depth: float
@@ -176,10 +177,13 @@ class _Taken(NamedTuple):
     mover: bool
     made_up: bool
     past: _Taken | None = None
+    beyond: float | None = None
 
     @property
     def told(self) -> str:
         at = f"({self.at[0]}, {self.at[1]}) at depth {self.depth:.4g}"
+        if self.beyond is not None and self.inverse == _inverse_of(self.beyond):
+            return f"{at}, which ends there, before depth {self.beyond:.4g}"
         if self.past is None:
             return at
         return f"{at} past {'a mover' if self.past.mover else 'a bar'} in front at depth {self.past.depth:.4g}"
@@ -192,7 +196,7 @@ def what_was_taken(
     reach = getattr(pipeline.stages.get("holes"), "reach", 0)
     if not reach:
         return None
-    wanted = (names.FILLED_BY, names.DEPTH, names.DYNAMIC)
+    wanted = (names.FILLED_BY, names.DEPTH, names.DYNAMIC, names.MOTION)
     block = _Block(pipeline, shot, pixel, reach, wanted)
 
     def is_beside(x: int, y: int) -> bool:
@@ -202,61 +206,96 @@ def what_was_taken(
     if is_far := not any(first.values()):
         block = _Block(pipeline, shot, pixel, sum(pipeline.sizes.target), wanted)
         first = {direction: block.first(direction, is_beside) for direction in _DIRECTIONS}
-    ways = {way: _taken(pipeline, shot, block, at) for way, at in first.items() if at is not None}
+    ways = {way: _taken(pipeline, shot, block, way, at) for way, at in first.items() if at is not None}
     met = list(ways.values())
     color = f"The result is ({', '.join(f'{float(c):.3g}' for c in values[names.FINAL][:3])})."
     if not met:
         return Step(f"No direction meets a pixel beside the hole, so it took that of the rendered frame. {color}")
-    beyond = [one for one in met if one.outside]
-    if not beyond and not is_far and not all(one.mover for one in met):
+    if not any(one.outside for one in met) and not is_far and not all(one.mover for one in met):
         looked = (one if one.behind else _past(pipeline, shot, block, way, one) for way, one in ways.items())
         met = [one for one in looked if one is not None]
+    beyond = [one for one in met if one.outside]
     used = beyond or _behind(met)
     listed = ", ".join(one.told for one in used)
     links = [Link(f"({one.at[0]}, {one.at[1]})", names.FINAL, pixel=one.at) for one in used]
     if beyond:
-        said = f"It took depth from {listed}, which lie outside of the rendered image here, and color from its border."
+        said = f"It took depth from {listed}, which lie outside of the rendered image here, and color from its border,"
+        said += " or beside the hole where a mover stands there."
     else:
         kind = "can be behind" if any(one.behind for one in met) else "are the farthest"
         said = f"Of {len(met)} pixels beside the hole it took the mean of those that {kind}: {listed}."
     return Step(f"{said} {color}", *links)
 
 
-def _taken(pipeline: Pipeline, shot: Shot, block: _Block, at: tuple[int, int]) -> _Taken:
-    depth, moment, layers = float(block.at(names.DEPTH, *at)[0]), shot.moment, device_layers(pipeline, shot)
-    inverse = 1.0 / depth if math.isfinite(depth) else 0.0
-    center = block.pixel[0] + 0.5, block.pixel[1] + 0.5
-    place, z = moment.render_camera.project(moment.camera.unproject(center, depth if inverse else 1e6))
-    texel = layers[names.RENDERED_DEPTH].place((0, 0), (float(place[0]), float(place[1]))) if z > 0 else None
-    behind, made_up = False, int(block.at(names.FILLED_BY, *at)[0]) in (BY_HIDDEN_PART, BY_REAPPEARING)
+def _inverse_of(depth: float) -> float:
+    return 1.0 / depth if math.isfinite(depth) else 0.0
+
+
+def _rendered(pipeline: Pipeline, shot: Shot, name: str, place: tuple[float, float]) -> float | None:
+    """Return the value of a layer of the rendered frame at a place of it; None outside of the image."""
+    layer = device_layers(pipeline, shot)[name]
+    texel = layer.place((0, 0), place)
+    return None if texel is None else float(read_blocks(pipeline, {name: (layer, *texel, 1, 1)})[name].flat[0])
+
+
+def _taken(pipeline: Pipeline, shot: Shot, block: _Block, way: tuple[int, int], at: tuple[int, int]) -> _Taken:
+    depth = float(block.at(names.DEPTH, *at)[0])
+    made_up = int(block.at(names.FILLED_BY, *at)[0]) in (BY_HIDDEN_PART, BY_REAPPEARING)
     mover = made_up or bool(block.at(names.DYNAMIC, *at)[0])
-    if texel is not None and not mover:
-        shown = read_blocks(pipeline, {"depth": (layers[names.RENDERED_DEPTH], *texel, 1, 1)})["depth"].flat[0]
-        behind = bool(shown > 0 and not (z if inverse else math.inf) < _HOLES["IN_FRONT"] * shown)
-    closeness = 1.0 / math.dist(at, block.pixel)
-    return _Taken(at, depth, inverse, closeness, texel is None, behind, mover, made_up)
+    dx, dy = block.at(names.MOTION, *at)
+    step = _HOLES["PAST_EDGE"]
+    edge = at[0] + 0.5 + float(dx) - step * way[0], at[1] + 0.5 + float(dy) - step * way[1]
+    beyond = _rendered(pipeline, shot, names.RENDERED_DEPTH, edge)
+    if beyond is not None:
+        farther = beyond > 0 and _inverse_of(depth) > _inverse_of(beyond) * _HOLES["FAR_SIDE"]
+        if not farther or _rendered(pipeline, shot, names.DYNAMIC_MASK, edge):
+            beyond = None
+    outside, can_be = _where(pipeline, shot, block.pixel, depth)
+    closeness, ends = 1.0 / math.dist(at, block.pixel), beyond is not None
+    behind = can_be and not mover and not ends
+    values = at, depth, _inverse_of(depth), closeness, outside and not ends, behind, mover, made_up
+    return _Taken(*values, beyond=beyond)
+
+
+def _where(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], depth: float) -> tuple[bool, bool]:
+    """Return whether the hole's `pixel`, at that depth, is outside of the rendered image, and whether a static surface
+    can be there."""
+    center, moment, known = (pixel[0] + 0.5, pixel[1] + 0.5), shot.moment, math.isfinite(depth)
+    place, z = moment.render_camera.project(moment.camera.unproject(center, depth if known else 1e6))
+    shown = _rendered(pipeline, shot, names.RENDERED_DEPTH, (float(place[0]), float(place[1]))) if z > 0 else None
+    if shown is None:
+        return True, False
+    return False, bool(shown > 0 and not (z if known else math.inf) < _HOLES["IN_FRONT"] * shown)
 
 
 def _past(pipeline: Pipeline, shot: Shot, block: _Block, direction: tuple[int, int], one: _Taken) -> _Taken | None:
     """Return what a direction meets past `one`, which cannot be there: a static surface behind it that can be. Without
-    any `one` counts, unless it was made up."""
+    any what the rendered frame shows beyond its edge counts, or it counts itself, unless it was made up."""
     before = 0.0 if one.mover else one.depth
 
     def can_be_there(x: int, y: int) -> bool:
         nonlocal before
         if int(block.at(names.FILLED_BY, x, y)[0]) == BY_HOLE_FILLING:
             return False
-        other = _taken(pipeline, shot, block, (x, y))
+        other = _taken(pipeline, shot, block, direction, (x, y))
         if other.mover or not other.depth > before:
             return False
         before = other.depth
-        return other.behind
+        return _where(pipeline, shot, block.pixel, other.depth)[1]
 
     steps = max(abs(one.at[0] - block.pixel[0]), abs(one.at[1] - block.pixel[1]))
     at = block.first(direction, can_be_there, steps + 1, int(block.reach // _HOLES["PAST_SHARE"]))
-    if at is None:
+    if at is not None:
+        return _taken(pipeline, shot, block, direction, at)._replace(past=one, outside=False, behind=True)
+    if one.beyond is None:
         return None if one.made_up else one
-    return _taken(pipeline, shot, block, at)._replace(past=one)
+    outside, can_be = _where(pipeline, shot, block.pixel, one.beyond)
+    return one._replace(
+        inverse=_inverse_of(one.beyond),
+        closeness=one.closeness * _HOLES["BEHIND_EDGE"],
+        outside=outside and not one.mover,
+        behind=one.mover if outside else can_be,
+    )
 
 
 def _behind(met: list[_Taken]) -> list[_Taken]:
