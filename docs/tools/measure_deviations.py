@@ -107,7 +107,14 @@ GAE: dict[str, Change] = {
             },
         }
     ),
-    "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),
+    "nothing is collected beside movers and nearer surfaces": Change(
+        edits={
+            "connectivity.cl": {
+                "settled = (z > 0.0f) & (moving == 0)": "settled = z > 0.0f",
+                "clean = settled & !mixed": "clean = settled",
+            }
+        }
+    ),
     "fragments must be deeper by a margin (case 2)": Change(
         constants={"background.cl": {"BEHIND": "1.0f"}},
         edits={

@@ -34,28 +34,29 @@ def _shifted(image, dx, dy, fill):
 
 
 def link_surfaces(depth, dynamic):
-    with np.errstate(all="ignore"):
-        w = np.where(invalid(depth), F(-1), np.where(np.isinf(depth), F(0), F(1) / depth)).astype(F)
     links = np.zeros(depth.shape, np.uint8)
+
+    def is_plane(a2, a, b, most):
+        off = np.abs((a2 - a) * b - (a - b) * a2)
+        return (a2 > 0) & (a2 < INF) & (off < SURFACES.SURFACE_CURVATURE * most * a2)
+
     for bit, (dx, dy) in enumerate(_STEPS):
-        a2, a = _shifted(w, -dx, -dy, -1), w
-        b, b2 = _shifted(w, dx, dy, -1), _shifted(w, 2 * dx, 2 * dy, -1)
-        size = np.maximum(a, b)
-        near = np.abs(a - b) <= SURFACES.SURFACE_STEP * size
-        near |= (a2 > 0) & (np.abs((a - a2) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
-        near |= (b2 > 0) & (np.abs((b2 - b) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
-        sky = (a == 0) | (b == 0)
-        same = (a >= 0) & (b >= 0) & np.where(sky, a == b, near)
+        a2, a = _shifted(depth, -dx, -dy, np.nan), depth
+        b, b2 = _shifted(depth, dx, dy, np.nan), _shifted(depth, 2 * dx, 2 * dy, np.nan)
+        with np.errstate(all="ignore"):
+            most = np.where(a > b, a, b)
+            near = np.abs(a - b) <= SURFACES.SURFACE_STEP * most
+            near |= is_plane(a2, a, b, most) | is_plane(b2, b, a, most)
+            same = (a > 0) & (b > 0) & np.where(most < INF, near, a == b)
         links |= (same & (_shifted(dynamic, dx, dy, 2) == dynamic)).astype(np.uint8) << bit
     return links
 
 
 def unmixed(depth, dynamic):
-    """Return (H, W) uint8: 1 where depth is valid and no pixel within 2 px is dynamic or nearer."""
+    """Return (H, W) uint8: 1 where depth is valid and no pixel of 3×3 is dynamic or nearer."""
     keep = ~invalid(depth)
-    around = range(-SURFACES.GROW, SURFACES.GROW + 1)
-    for dy in around:
-        for dx in around:
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
             with np.errstate(invalid="ignore"):
                 nearer = _shifted(depth, dx, dy, np.inf) < depth * SURFACES.MIXES_IN
             keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
