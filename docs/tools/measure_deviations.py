@@ -94,9 +94,7 @@ GAE: dict[str, Change] = {
     "… of these, the mean with what the background knows": Change(
         edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}
     ),
-    "the surface met at x' is checked": Change(
-        constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
-    ),
+    "the surface met at x' is checked": Change(constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f"}}),
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={
