@@ -73,8 +73,8 @@ class HistoryTracking(Stage):
             np.float32,
             _CLASSES,
             "once",
-            "largest error of quantized motion vectors by component and sign, px, by the steps of the frame before; ε is"
-            " added to it; 0: not quantized",
+            "largest error of quantized motion vectors by component and sign, px, by the steps of the frame before; ε"
+            " is added to it; 0: not quantized",
         ),
         BufferSpec(
             "residual_histogram",

@@ -32,8 +32,8 @@ def both(device, source, options, size, target, to, time):
 
 
 def assert_same_picture(with_blocks, without):
-    """Holes are equal, and nearly so most pixels that the warp makes: blocks are linear, and at edges whose sides hardly
-    move apart the other side may be shown, by as little as these sides move apart."""
+    """Holes are equal, and nearly so most pixels that the warp makes: blocks are linear, and at edges whose sides
+    hardly move apart the other side may be shown, by as little as these sides move apart."""
     read = [
         {spec.name: p.board.frame.read(spec.name) for spec in p.board.frame.buffers} for p in (with_blocks, without)
     ]
