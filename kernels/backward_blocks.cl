@@ -1,8 +1,8 @@
 /* Blocks: which parts of the new frame need no splatting (for 'Warping').
 
    A source block is smooth if predicted positions change linearly over it. Every source block marks the target blocks
-   with pixels that its fragments' footprints cover. A target block is warped backward, by the inverse of the flow at its
-   center, if all that reach it lie side by side and are smooth: then nothing in it hides or uncovers anything. */
+   with pixels that its fragments' footprints cover. A target block is warped backward, by the inverse of the flow at
+   its center, if all that reach it lie side by side and are smooth: then nothing in it hides or uncovers anything. */
 
 #include "frame.h"
 #include "simd.h"

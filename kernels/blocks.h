@@ -6,8 +6,8 @@
 #define BACKWARD 1   /* one whose pixels' sources are found by the inverse of the block's flow: warped backward */
 #define COPIED 2     /* one that nothing but the rendered frame's own pixels reach, which stay: they are copied */
 
-/* Of a source block over which positions are linear; and of one whose pixels stay, and all within STIR_REACH, perhaps at
-   the image's border. */
+/* Of a source block over which positions are linear; and of one whose pixels stay, and all within STIR_REACH, perhaps
+   at the image's border. */
 #define SMOOTH 1
 #define RESTING 2
 

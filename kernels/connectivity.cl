@@ -34,8 +34,7 @@ INLINE Ints is_plane(const Floats a2, const Floats a, const Floats b, const Floa
 /* Whether b, next to a, continues a's surface; a2 lies behind a, b2 behind b. Depths. */
 INLINE Ints continues(const Floats a2, const Floats a, const Floats b, const Floats b2) {
     const Floats most = a > b ? a : b;
-    const Ints near =
-        (fabs(a - b) <= SURFACE_STEP * most) | is_plane(a2, a, b, most) | is_plane(b2, b, a, most);
+    const Ints near = (fabs(a - b) <= SURFACE_STEP * most) | is_plane(a2, a, b, most) | is_plane(b2, b, a, most);
     return (a > 0.0f) & (b > 0.0f) & (most < INFINITY ? near : a == b);
 }
 

@@ -215,7 +215,9 @@ INLINE int lookups_of(__local const int *histogram) {
     int low = 0, lookups = 1;
     while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
     while (lookups < LOOKUPS
-           && 40 * (sum_of(histogram + (lookups - 1) * RESIDUAL_BINS, low) - sum_of(histogram + lookups * RESIDUAL_BINS, low))
+           && 40
+                      * (sum_of(histogram + (lookups - 1) * RESIDUAL_BINS, low)
+                         - sum_of(histogram + lookups * RESIDUAL_BINS, low))
                   > sum_of(histogram, 0))
         ++lookups;
     return lookups;
@@ -404,7 +406,8 @@ INLINE void note_stir(const int first_x, const int last_x, const int src_y, __co
 /* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
    0) where P_i is unknown. Static fragments only take the test. last_stir: for each block the number of the last frame
    in which a pixel within STIR_REACH of it was not static, had no valid depth or, while the camera rests, another depth
-   than before. After a reset no steps of motion are known. Colors are encoded, too, unless the camera rests: then ColorCode encodes those that are mixed. */
+   than before. After a reset no steps of motion are known. Colors are encoded, too, unless the camera rests: then
+   ColorCode encodes those that are mixed. */
 WIDE __kernel void track_history(__constant Frame *restrict frame, __global const float *depth,
                                  __global const float2 *motion, __global const float *depth_prev,
                                  __global const uchar *dynamic_prev, __global const float4 *history_prev,

@@ -2,8 +2,8 @@
    through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; those fixed to the
    camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
    to in the frame before, at the depth met there. Where the frame before does not show a mover's fragment, which came
-   into view, that depth is the one of a static fragment. The trusted part of a mover's acceleration (acceleration.cl) is added
-   to the linear prediction. */
+   into view, that depth is the one of a static fragment. The trusted part of a mover's acceleration (acceleration.cl)
+   is added to the linear prediction. */
 
 #include "frame.h"
 #include "simd.h"

@@ -11,8 +11,7 @@ from twins.warp import codes_of
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")
 STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, SHARPER = (
-    F(CONSTANTS[name])
-    for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "SHARPER")
+    F(CONSTANTS[name]) for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "SHARPER")
 )
 FAR, NEAR, MARKED = CONSTANTS["FAR"], CONSTANTS["NEAR"], CONSTANTS["MARKED"]
 AROUND = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
