@@ -13,10 +13,11 @@
 #include "lists.h"
 #include "rgb9e5.h"
 #include "color_code.h"
-#include "shown_before.h"
+#include "far_side.h"
 
 /* What set the thresholds: docs/deviations.md, "Fragments must be deeper by a margin (case 2)", "Background texels
    cover what they map to". */
+#define SAME_LEVEL 0.02f /* relative depth within which two fragments may be of the same surface */
 #define FROM_MEMORY 0x80000000u  /* of a texel's index: it refers to a REMEMBERED fragment, not to a SHOWN one */
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
@@ -328,7 +329,6 @@ SCAN_FLAT __kernel void settle_level(__constant Frame *restrict frame, const int
 
 /* ---- projection --------------------------------------------------------------------------------------------- */
 
-#define ENOUGH_WEIGHT 0.5f
 #define TEXEL_REACH 16.0f              /* px: the most that a texel covers to each side */
 /* TEXEL_HALF: of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
 #define TEXEL_HALF 1.25f
@@ -345,25 +345,19 @@ INLINE int start_of(const int level, const int4 starts) {
 /* The new frame as the warp leaves it, and whom fragments are offered to. */
 typedef struct {
     int width, pixels, pass;
-    __global const uchar *disoccluded, *mixed;
-    __global const float *depth;
+    __global const uchar *disoccluded;
     __global Key *keys;
     __global uint *winners;
 } Uncovered;
 
-/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid, and to those of its surface
-   whose own color is a makeshift: their fragment's color was mixed with that of a silhouette. */
+/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid. */
 INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
                             const Uncovered to) {
     for (int dst_y = y0; dst_y <= y1; ++dst_y) {
         const int first = dst_y * to.width + x0, last = dst_y * to.width + x1;
-        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first)
-            && run_is_zero(to.mixed + first))
-            continue;
-        for (int dst = first; dst <= last; ++dst) {
-            const bool alike = to.mixed[dst] && is_same_surface(z, to.depth[dst], SAME_LEVEL * to.depth[dst]);
-            if (to.disoccluded[dst] || alike) offer(to.pass, to.keys, to.winners, dst, z, texel);
-        }
+        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first)) continue;
+        for (int dst = first; dst <= last; ++dst)
+            if (to.disoccluded[dst]) offer(to.pass, to.keys, to.winners, dst, z, texel);
     }
 }
 
@@ -371,8 +365,7 @@ INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int 
 SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const int pass,
                                        __global const float *levels_depth, __global const int *levels_px,
                                        __global const uchar *levels_state, __global const uchar *disoccluded,
-                                       __global const uchar *mixed, __global const float *depth, __global Key *keys,
-                                       __global uint *winners) {
+                                       __global Key *keys, __global uint *winners) {
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint count;
     const int4 starts = frame->level_starts;
@@ -381,8 +374,6 @@ SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const i
                           .pixels = target_width * target_height,
                           .pass = pass,
                           .disoccluded = disoccluded,
-                          .mixed = mixed,
-                          .depth = depth,
                           .keys = keys,
                           .winners = winners};
     const float2 zoom = frame->zoom;
@@ -407,108 +398,189 @@ SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const i
     }
 }
 
-/* Code of the color of the texels around a winner, weighted by their distance in the target image from `center`, of
-   the winner's surface only: within one texel's side; within two where that catches too little, as in the gaps
-   between irregular fragments. */
+/* Code of the color of the 3x3 texels around a winner, weighted by their distance in the target image from `center`, of
+   the winner's surface only. */
 INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height,
                            const float z_winner, const float2 side, const float2 center, __constant Frame *frame,
                            const Texels texels) {
-    const int level_width = texels.width;
-    float3 sum;
-    float weight_sum;
-    for (int reach = 1; reach <= 2; ++reach) {
-        sum = (float3)(0.0f);
-        weight_sum = 0.0f;
-        const float inverse_x = divide(1.0f, side.x * (float)reach), inverse_y = divide(1.0f, side.y * (float)reach);
-        const int taps_side = 2 * reach + 1, taps = taps_side * taps_side;
-        for (int first = 0; first < taps; first += LANES) {
-            int tap[LANES];
-            bool shown[LANES];
-            float x[LANES], y[LANES], z[LANES], weight[LANES];
-            for (int k = 0; k < LANES; ++k) {
-                const int dx = (first + k) % taps_side - reach, dy = (first + k) / taps_side - reach;
-                tap[k] = winner + dy * level_width + dx;
-                z[k] = -1.0f;  /* none: it does not land */
-                x[k] = y[k] = 0.0f;
-                if (first + k >= taps || !inside(texel_x + dx, texel_y + dy, level_width, level_height)) continue;
-                const uchar state = texels.state[tap[k]];
-                const float margin = 2.0f * SAME_LEVEL * z_winner;
-                shown[k] = state == SHOWN;
-                if (!shown[k] && state != REMEMBERED) continue;
-                const float z_tap = depth_of(texels, tap[k], shown[k]);
-                if (!is_same_surface(z_tap, z_winner, margin)) continue;
-                const float2 px = px_of(texels, tap[k], texel_x + dx, texel_y + dy, shown[k]);
-                x[k] = px.x;
-                y[k] = px.y;
-                z[k] = z_tap;
-            }
-            const Floats z_taps = load_floats(0, z);
-            const Wide3 there = wide_reproject(load_floats(0, x), load_floats(0, y), z_taps, frame->to_target);
-            const Floats wx = 1.0f - fabs(there.x - center.x) * inverse_x,
-                         wy = 1.0f - fabs(there.y - center.y) * inverse_y;
-            const Ints counts = (z_taps > 0.0f) & (there.z > 0.0f) & (wx > 0.0f) & (wy > 0.0f);
-            store_floats(counts ? wx * wy : (Floats)(0.0f), 0, weight);
-            for (int k = 0; k < LANES; ++k) {
-                if (!(weight[k] > 0.0f)) continue;
-                sum += weight[k] * code_of(texels, tap[k], shown[k], frame->code_offset);
-                weight_sum += weight[k];
-            }
-        }
-        if (weight_sum >= ENOUGH_WEIGHT) break;
+    const float inverse_x = divide(1.0f, side.x), inverse_y = divide(1.0f, side.y);
+    float3 sum = (float3)(0.0f);
+    float weight_sum = 0.0f;
+    for (int tap = 0; tap < 9; ++tap) {
+        const int x = texel_x + tap % 3 - 1, y = texel_y + tap / 3 - 1;
+        const int texel = winner + (tap / 3 - 1) * texels.width + tap % 3 - 1;
+        if (!inside(x, y, texels.width, level_height)) continue;
+        const bool shown = texels.state[texel] == SHOWN;
+        if (!shown && texels.state[texel] != REMEMBERED) continue;
+        const float z = depth_of(texels, texel, shown);
+        if (!(z > 0.0f) || !is_same_surface(z, z_winner, 2.0f * SAME_LEVEL * z_winner)) continue;
+        const float3 there = reproject(px_of(texels, texel, x, y, shown), z, frame->to_target);
+        const float wx = 1.0f - fabs(there.x - center.x) * inverse_x, wy = 1.0f - fabs(there.y - center.y) * inverse_y;
+        if (!(there.z > 0.0f && wx > 0.0f && wy > 0.0f)) continue;
+        sum += wx * wy * code_of(texels, texel, shown, frame->code_offset);
+        weight_sum += wx * wy;
     }
     return weight_sum > 0.01f ? mean_of(sum, weight_sum) : code_of(texels, winner, false, frame->code_offset);
 }
 
-/* Fills the open pixels that remembered fragments won, but for movers' hidden parts. Where the frame before still
-   showed the surface its color comes from there, at full resolution. Of a makeshift and what is remembered, two
-   estimates of one surface, the mean is shown. */
+/* ---- colors beside ------------------------------------------------------------------------------------------ */
+
+#define MIXED_REACH 16 /* px beyond which the far side does not represent the remembered surface */
+
+INLINE float squared(const float3 c) { return c.x * c.x + c.y * c.y + c.z * c.z; }
+
+#define FAR_COUNTS 0.5f /* px: weight of the far side per 1 / distance, a remembered color having 1 */
+#define BEYOND_EDGE 4 /* px beyond the edge of a hole, where colors do not change with the mover's outline */
+#define LEAST_CHANGE 0.001f /* squared change around, by which remembered colors count half; white is 1 */
+#define CONTRAST_COUNTS 4.0f /* of the squared difference from colors around, times that by which it counts half */
+
+/* The frame before. */
+typedef struct {
+    __global const half *color;
+    __global const float *depth;
+} Before;
+
+/* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
+INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before,
+                         float3 *code) {
+    const int width = frame->source_width, height = frame->source_height;
+    const float3 px_prev = reproject(center, z, frame->target_to_previous);
+    if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)width - 0.5f
+          && px_prev.y < (float)height - 0.5f))
+        return false;
+    const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
+    const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
+    float3 sum = (float3)(0.0f);
+    for (int tap = 0; tap < 4; ++tap) {
+        const int i = (y0 + (tap >> 1)) * width + x0 + (tap & 1);
+        if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_LEVEL * px_prev.z)) return false;
+        sum += bilinear_weight(tap, u, v) * load_code(before.color, i, frame->code_offset);
+    }
+    *code = sum;
+    return true;
+}
+
+/* What is around a hole of the background, BEYOND_EDGE px beyond `side` in direction k: its code in the frame before,
+   and the squared change since then, or -1 where that frame did not show it. */
+INLINE float4 change_around(const int k, __local const Side *side, __constant Frame *frame, const Before before,
+                            __global const uchar *disoccluded, __global const float *depth,
+                            __global const half *color) {
+    const float4 unknown = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
+    const int width = frame->target_width;
+    const int2 d = BEYOND_EDGE * direction(k);
+    const int dst_x = side->px % width + d.x, dst_y = side->px / width + d.y, dst = dst_y * width + dst_x;
+    if (!side->meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
+    const float z = depth[dst];
+    float3 code;
+    if (!is_as_far(isinf(z) ? 0.0f : divide(1.0f, z), side->inverse)
+        || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
+        return unknown;
+    const float3 change = load_code(color, dst, frame->code_offset) - code;
+    return (float4)(code, squared(change));
+}
+
+/* How far a remembered color is out of date, 0 to 1: as colors around have changed since the frame before, unless it
+   differed more from them there. */
+INLINE float staleness(const float3 remembered, __local const float4 *changes, const int far, const float offset) {
+    float4 sum = (float4)(0.0f);
+    float known = 0.0f;
+    for (int k = 0; k < DIRECTIONS; ++k) {
+        if (!has(far, k) || changes[k].w < 0.0f) continue;
+        sum += changes[k];
+        known += 1.0f;
+    }
+    if (!(known > 0.0f)) return 0.0f;
+    const float white = display_white(offset), change = divide(sum.w, known);
+    const float contrast = squared(remembered - mean_of(sum.xyz, known));
+    return divide(change, change + CONTRAST_COUNTS * contrast + 3.0f * LEAST_CHANGE * white * white);
+}
+
+/* Mixes a fill of the background with the far side. A surface's remembered color may be out of date, so the weighted
+   mean with the present color beside it is shown; that counts more the closer it is. */
+INLINE void mix_far_side(const int dst, __local const Side *sides, __local const float4 *changes,
+                         __constant Frame *frame, __global half *color) {
+    const int far = far_side(sides);
+    if (!far) return;
+    const float3 mean = weighted_mean(sides, far, false, frame->code_offset).xyz;
+    float counts = 0.0f;
+    for (int k = 0; k < DIRECTIONS; ++k) counts = fmax(counts, has(far, k) ? FAR_COUNTS * sides[k].closeness : 0.0f);
+    const float3 remembered = load_code(color, dst, frame->code_offset);
+    const float stale = staleness(remembered, changes, far, frame->code_offset);
+    const float3 sum = (1.0f - stale) * remembered + (stale + counts) * encode_color(mean, frame->code_offset);
+    store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
+}
+
+/* The new frame, and which remembered fragments won its pixels. */
+typedef struct {
+    __global const Key *keys;
+    __global const uint *winners;
+    __global half *color;
+    __global float *depth;
+    __global float2 *motion;
+    __global uchar *filled_by;
+} NewFrame;
+
+/* Fills an open pixel that a remembered fragment won, unless it is a mover's. `texels`: of all levels. Returns whether
+   it is filled. */
+INLINE bool fill_pixel(const int dst, Texels texels, __constant Frame *frame, const NewFrame to) {
+    const int dst_x = dst % frame->target_width, dst_y = dst / frame->target_width;
+    const uint winner = winner_of(to.keys, to.winners, dst);
+    if (winner == NOBODY || IS_OF_MOVER(to.filled_by[dst])) return false; /* its key may be a reappearing part's */
+    const int4 starts = frame->level_starts;
+    const int level = level_of(winner, starts), in_level = (int)winner - start_of(level, starts);
+    texels.level = level;
+    texels.width = level_side(frame->source_width, level);
+    const int texel_x = in_level % texels.width, texel_y = in_level / texels.width;
+    const float z_winner = texels.depth[winner];
+    const float2 center = pixel_center(dst_x, dst_y);
+    const float z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, frame->to_target).z;
+    const float3 px_source = reproject(center, z, frame->to_source);
+    if (!lands(px_source, frame->source_width, frame->source_height)) return false; /* only the footprint reaches it */
+    const float side = (float)(1 << level) * (isinf(z) ? 1.0f : divide(z_winner, z));
+    const float3 code = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner,
+                                     side * frame->zoom, center, frame, texels);
+    store_code(code, to.color, dst, frame->code_offset);
+    to.filled_by[dst] = (uchar)(1 + level);
+    to.depth[dst] = z;
+    to.motion[dst] = px_source.xy - center;
+    return true;
+}
+
+/* Fills the open pixels that remembered fragments won, but for movers' hidden parts. Where holes continue their far
+   side, these colors are mixed with it, a team of work-items for each. */
 WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global const half *color_prev,
-                                    __global const float *depth_prev, __global const uchar *state_prev,
-                                    __global const half *frame_color, __global const float *frame_depth,
-                                    __global const uint *levels_color, __global const float *levels_depth,
-                                    __global const int *levels_px, __global const uchar *levels_state,
-                                    __global const uint *open, __global const Key *keys, __global const uint *winners,
-                                    __global half *color, __global float *depth, __global float2 *motion,
-                                    __global uchar *filled_by) {
-    const int target_width = frame->target_width;
-    const Before before = {.color = color_prev, .depth = depth_prev, .state = state_prev};
-    for (uint i = get_global_id(0); i < open[0]; i += get_global_size(0)) {
-        const uint entry = LISTED(open, i);
-        const bool is_hole = entry < MIXED_FLAG;
-        const int dst = (int)(entry & ~MIXED_FLAG), dst_x = dst % target_width, dst_y = dst / target_width;
-        const uint winner = winner_of(keys, winners, dst);
-        if (winner == NOBODY) continue;
-        if (IS_OF_MOVER(filled_by[dst])) continue; /* its key may be that of a part that reappears */
-        const int4 starts = frame->level_starts;
-        const int level = level_of(winner, starts), start = start_of(level, starts),
-                  width = level_side(frame->source_width, level);
-        const int texel_x = ((int)winner - start) % width, texel_y = ((int)winner - start) / width;
-        const Texels texels = {.color = levels_color,
-                               .frame_color = frame_color,
-                               .depth = levels_depth,
-                               .frame_depth = frame_depth,
-                               .px = levels_px,
-                               .state = levels_state,
-                               .level = level,
-                               .width = width};
-        const float z_winner = levels_depth[winner];
-        const float2 center = pixel_center(dst_x, dst_y);
-        const float nearest_z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, frame->to_target).z;
-        const float3 px_source = reproject(center, nearest_z, frame->to_source);
-        if (!lands(px_source, frame->source_width, frame->source_height))
-            continue;  /* out of screen: only the footprint reaches there */
-        const float nearer = isinf(nearest_z) ? 1.0f : divide(z_winner, nearest_z);
-        const float2 side =
-            (float2)((float)(1 << level) * nearer * frame->zoom.x, (float)(1 << level) * nearer * frame->zoom.y);
-        float3 remembered;
-        if (!frame->has_previous || !shown_before(center, nearest_z, frame, before, &remembered))
-            remembered = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner, side,
-                                      center, frame, texels);
-        if (!is_hole) remembered = 0.5f * (remembered + load_code(color, dst, frame->code_offset));
-        store_code(remembered, color, dst, frame->code_offset);
-        filled_by[dst] = (uchar)(1 + level);
-        if (!is_hole) continue;
-        depth[dst] = nearest_z;
-        motion[dst] = px_source.xy - center;
+                                    __global const float *depth_prev, __global const half *frame_color,
+                                    __global const float *frame_depth, __global const uint *levels_color,
+                                    __global const float *levels_depth, __global const int *levels_px,
+                                    __global const uchar *levels_state, __global const uint *open,
+                                    __global const uchar *disoccluded, __global const Key *keys,
+                                    __global const uint *winners, __global half *color, __global float *depth,
+                                    __global float2 *motion, __global uchar *filled_by) {
+    __local Side sides[TEAMS][DIRECTIONS];
+    __local float4 changes[TEAMS][DIRECTIONS];
+    __local int is_filled[TEAMS];
+    const Before before = {color_prev, depth_prev};
+    const NewFrame to = {keys, winners, color, depth, motion, filled_by};
+    const Texels texels = {.color = levels_color,
+                           .frame_color = frame_color,
+                           .depth = levels_depth,
+                           .frame_depth = frame_depth,
+                           .px = levels_px,
+                           .state = levels_state};
+    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
+    for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
+        const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
+        if (item < TEAMS) is_filled[item] = own != NO_ENTRY && fill_pixel((int)own, texels, frame, to);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const bool mixes = frame->far_side && is_filled[team];
+        const int hole = mixes ? (int)entry_of(open, first + team) : 0;
+        for (int k = item % TEAM; mixes && k < DIRECTIONS; k += TEAM) {
+            sides[team][k] = look(hole % width, hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
+            changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
+        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (frame->far_side && item < TEAMS && is_filled[item])
+            mix_far_side((int)own, sides[item], changes[item], frame, color);
+        barrier(CLK_LOCAL_MEM_FENCE);
     }
 }

@@ -11,16 +11,14 @@
 /* What set the thresholds: docs/deviations.md, "The mask minimizes the error of the final frame", "Flickering light is
    left alone". */
 #define LEAST_MASK 0.03125f  /* a smaller focus mask is 0 */
-#define FLOW_UNIT 4.0f       /* pixels of a quarter of the resolution, of the network's own flow */
 #define DETAIL 4             /* channels at half resolution, of which the network gives four pixels each */
-#define JUDGED 4 /* channels before them: own flow (2), how far the found one is followed, how long trends last */
+#define JUDGED 4 /* channels before them: none (2), how far the found flow is followed, how long trends last */
 #define SEEN 16 /* inputs of the head: detail (4), change along the flow (3), trend (3), both frames (6) */
 #define HIDDEN 16 /* channels of its hidden layer */
 #define SAID 6 /* outputs: change of color (3), detail that is kept, likelihood of the mask, share of the trend */
 #define KEPT 3 /* channels of the correction, after its change of color: detail that is kept, ... */
 #define MASK 4 /* ... focus mask */
 #define SLOPE 0.1f /* of leaky rectifiers */
-#define DISOCCLUDED_BELOW 0.4f /* mean input mask of four pixels, at most 0.375 with a disoccluded, no dynamic one */
 #define CHANGE_MARGIN 2.0f /* largest continued change of light, times its last change */
 /* TRUSTED: of the focus mask: all while the last change differs by half of its square from the one before, ... */
 #define TRUSTED 3.0f
@@ -62,12 +60,9 @@ WIDE __kernel void choose_flow(__constant Frame *restrict frame, __global const 
     judgement += y * width + x;
     candidates += y * width + x;
     chosen += y * width + x;
-    const Floats follow = sigmoid(load_floats(0, judgement + 2 * plane));
-    for (int axis = 0; axis < 2; ++axis) {
-        const Floats own = FLOW_UNIT * load_floats(0, judgement + axis * plane);
-        const Floats found = frame->alpha * (FOUND_UNIT * load_floats(0, candidates + (FOUND + axis) * plane));
-        store_floats(2.0f * (own + follow * (found - own)), 0, chosen + axis * plane);
-    }
+    const Floats follow = 2.0f * FOUND_UNIT * frame->alpha * sigmoid(load_floats(0, judgement + 2 * plane));
+    for (int axis = 0; axis < 2; ++axis)
+        store_floats(follow * load_floats(0, candidates + (FOUND + axis) * plane), 0, chosen + axis * plane);
     const Floats lasts = load_floats(0, candidates + HELD * plane) + load_floats(0, judgement + 3 * plane);
     store_floats(lasts == lasts ? clamp(lasts, (Floats)(0.0f), (Floats)(1.0f)) : lasts, 0, chosen + 2 * plane);
     Taps taps;
@@ -135,8 +130,7 @@ INLINE Ints is_trusted_around(__global const float *trusted, const int width, co
 }
 
 /* Judges at half resolution: change of encoded color (3), detail that is kept, focus mask. Texture is kept whatever the
-   network says. Nothing is changed in disocclusions, where a change of light is indistinguishable from another
-   surface. Where nobody uses the result, it is no change, all detail, and no mask. */
+   network says. Where nobody uses the result, it is no change, all detail, and no mask. */
 WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __global const float *frames,
                          __global const float *trends, __global const float *judgement, __global const float *chosen,
                          __constant float *head, __global const float *texture, __global const int *changed,
@@ -179,8 +173,7 @@ WIDE __kernel void judge(__constant Frame *restrict frame, const int asked, __gl
     }
     const Floats keep = sigmoid(said[3]), kept = keep + (1.0f - keep) * interpolate(texture, &taps);
     store_floats(used ? kept : (Floats)(1.0f), 0, correction + KEPT * plane);
-    const Ints untold = load_floats(0, frames + 7 * plane + at) < DISOCCLUDED_BELOW;
-    const Floats mask = *changed ? (untold ? (Floats)(0.0f) : 2.0f * said[4] - DOUBT) : (Floats)(0.0f);
+    const Floats mask = *changed ? 2.0f * said[4] - DOUBT : (Floats)(0.0f);
     const Floats trusted = interpolate(chosen + 3 * quarter, &taps);
     const Floats shown = mask == mask ? clamp(mask, (Floats)(0.0f), (Floats)(1.0f)) * trusted : mask;
     store_floats(used ? shown : (Floats)(0.0f), 0, correction + MASK * plane);

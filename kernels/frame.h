@@ -64,6 +64,7 @@ typedef struct {
     int softens; /* whether silhouettes are made soft */
     int bends; /* whether movers' acceleration continues */
     int collects; /* whether there is a background */
+    int far_side; /* whether holes continue their far side */
     int dilates; /* whether the dilated warp makes the new frame */
     int detects; /* whether samples are counted that tell a cut */
     int automatic; /* whether the static threshold follows from the frame */

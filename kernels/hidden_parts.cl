@@ -23,7 +23,7 @@
    reappear". */
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
-#define BESIDE 3          /* a mover that is nearer than this part of the reach need not be on both sides */
+#define BESIDE 3          /* part of the reach within which a mover owns holes beside it */
 
 #define MOVER_REACH 8     /* px, in which movers are looked for ... */
 #define MOVER_REACH_SHARE 48    /* ... or this part of the target's width */
@@ -103,27 +103,17 @@ INLINE Side look(const int dst_x, const int dst_y, const int2 d, __constant Fram
     return side;
 }
 
-/* The direction in which the mover lies that the hole belongs to: one close by, or else the nearest that is on both
-   sides; -1: none. */
+/* The direction in which the mover lies that the hole belongs to, which is close by; -1: none. */
 INLINE int owner(__local const Side *sides, const int reach) {
-    int nearest = -1, between = -1;
-    float least = INFINITY, least_between = INFINITY;
+    int nearest = -1;
+    float least = INFINITY;
     for (int k = 0; k < DIRECTIONS; ++k) {
-        const int steps = sides[k].steps, opposite = sides[(k + 4) & 7].steps;
-        const float step = step_length(direction(k)), distance = (float)steps * step;
-        const float z = sides[k].z, z_opposite = sides[(k + 4) & 7].z;
-        if (steps == 0) continue;
-        if (distance < least) {
-            least = distance;
-            nearest = k;
-        }
-        if (opposite && (float)(steps + opposite) * step <= (float)reach && distance < least_between
-            && fabs(z - z_opposite) <= ONE_OBJECT * fmin(z, z_opposite)) {
-            least_between = distance;
-            between = k;
-        }
+        const float distance = (float)sides[k].steps * step_length(direction(k));
+        if (sides[k].steps == 0 || !(distance < least)) continue;
+        least = distance;
+        nearest = k;
     }
-    return least * (float)BESIDE <= (float)reach ? nearest : between;
+    return least * (float)BESIDE <= (float)reach ? nearest : -1;
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
@@ -201,7 +191,6 @@ INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *fr
 #define COVERS 0.5f     /* source px: a part covers target pixels up to so far from it */
 #define LEAST_APART 0.25f /* source px: what moves less against what hides it does not come out */
 #define SAME_PART 0.025f /* relative depth in the frame before within which a surface is the mover's */
-#define STAYS 0.02f     /* relative depth within which a static point of the frame before is still there */
 #define EMPTY_KEYS 2    /* a pass, before those of nearest.h: sets keys free that parts may be offered to */
 
 /* The rendered frame, the depth of the one before it and of the new one, and what is offered to the pixels of this;
@@ -230,17 +219,11 @@ INLINE bool is_hidden(const int src, const float z, const Parts f) {
     return f.dynamic_mask[src] == STATIC && f.depth[src] > 0.0f && f.depth[src] < HIDES * z;
 }
 
-/* Whether the frame before showed a mover of depth `met` at px_prev: a surface of that depth that does not stay. */
+/* Whether the frame before showed a mover of depth `met` at px_prev: a surface of that depth. */
 INLINE bool mover_was_shown(const float2 px_prev, const float met, __constant Frame *frame, const Parts f) {
     const int width = frame->source_width, height = frame->source_height;
     if (!holds(width, height, px_prev)) return false;
-    const int prev_x = (int)px_prev.x, prev_y = (int)px_prev.y;
-    const float z = f.depth_prev[prev_y * width + prev_x];
-    if (!(fabs(z - met) <= SAME_PART * met)) return false;
-    const float3 now = reproject(pixel_center(prev_x, prev_y), z, frame->from_previous);
-    if (!(now.z > 0.0f && holds(width, height, now.xy))) return true;
-    const int src = (int)now.y * width + (int)now.x;
-    return f.dynamic_mask[src] != STATIC || !(fabs(f.depth[src] - now.z) <= STAYS * now.z);
+    return fabs(f.depth_prev[(int)px_prev.y * width + (int)px_prev.x] - met) <= SAME_PART * met;
 }
 
 /* Offers the parts of the mover at (src_x, src_y) on side k of it, where something static and nearer hides them; its
@@ -308,7 +291,7 @@ INLINE void offer_at_edges(const bool wanted, const int pass, __constant Frame *
     }
 }
 
-/* Fills the open pixels that are holes, a team of work-items for each. If parts `reappear`, empties the keys that they
+/* Fills the open pixels, a team of work-items for each. If parts `reappear`, empties the keys that they
    will be offered to, which nothing else here reads, and the list of where. */
 SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, const int reappear,
                                           __global const float *source_depth, __global const float2 *source_motion,
@@ -332,14 +315,14 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         /* Team by team look into all directions ... */
         const uint hole = entry_of(open, first + team);
-        for (int k = item % TEAM; hole < MIXED_FLAG && k < DIRECTIONS; k += TEAM)
+        for (int k = item % TEAM; hole != NO_ENTRY && k < DIRECTIONS; k += TEAM)
             sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
         barrier(CLK_LOCAL_MEM_FENCE);
 
         /* ... and one work-item fills a hole. */
-        const uint own = item < TEAMS ? entry_of(open, first + item) : MIXED_FLAG;
+        const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
         const int dst_x = (int)own % width, dst_y = (int)own / width;
-        if (own < MIXED_FLAG && !fill_entering(dst_x, dst_y, frame, images))
+        if (own != NO_ENTRY && !fill_entering(dst_x, dst_y, frame, images))
             fill_hidden_part(dst_x, dst_y, sides[item], frame, images);
         barrier(CLK_LOCAL_MEM_FENCE);
     }
@@ -359,28 +342,9 @@ SCAN_FLAT __kernel void offer_reappearing(__constant Frame *restrict frame, cons
     offer_at_edges(true, pass, frame, parts, found, &found_count);
 }
 
-/* Code of the color that a mover of depth `met` had at px_prev, where the frame before showed it. */
-INLINE float3 code_before(const float2 px_prev, const float met, __constant Frame *frame,
-                          __global const float *depth_prev, __global const half *color_prev) {
-    const int width = frame->source_width, height = frame->source_height;
-    const int x0 = (int)floor(px_prev.x - 0.5f), y0 = (int)floor(px_prev.y - 0.5f);
-    const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
-    float3 sum = (float3)(0.0f);
-    float weight_sum = 0.0f;
-    for (int tap = 0; tap < 4; ++tap) {
-        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * width + x;
-        if (!inside(x, y, width, height) || !(fabs(depth_prev[i] - met) <= SAME_PART * met)) continue;
-        const float weight = bilinear_weight(tap, u, v);
-        sum += weight * load_code(color_prev, i, frame->code_offset);
-        weight_sum += weight;
-    }
-    return mean_of(sum, weight_sum);
-}
-
-/* Fills the pixels that parts were offered to. */
+/* Fills the pixels that parts were offered to, with the color that the frame before showed there. */
 WALK __kernel void fill_reappearing(__constant Frame *restrict frame, __global const float2 *source_motion,
-                                    __global const float *met_depth, __global const float *target_position,
-                                    __global const float *depth_prev, __global const half *color_prev,
+                                    __global const float *target_position, __global const half *color_prev,
                                     __global const Key *keys, __global const uint *winners, __global half *color,
                                     __global float *depth, __global float2 *motion, __global uchar *is_dynamic,
                                     __global const uint *offered) {
@@ -391,8 +355,8 @@ WALK __kernel void fill_reappearing(__constant Frame *restrict frame, __global c
         const int src = (int)winner_of(keys, winners, dst);
         const float3 there = position_of(target_position, src, plane);
         const float2 place = place_of_part(src % source_width, src / source_width, dst_x, dst_y, there, frame);
-        const float3 code = code_before(place + source_motion[src], met_depth[src], frame, depth_prev, color_prev);
-        store_code(code, color, dst, frame->code_offset);
+        const float2 px_prev = place + source_motion[src];
+        store_color(load_color(color_prev, (int)px_prev.y * source_width + (int)px_prev.x), color, dst);
         depth[dst] = there.z;
         motion[dst] = place - pixel_center(dst_x, dst_y);
         is_dynamic[dst] = DYNAMIC;

@@ -7,15 +7,15 @@
 #define WALK_GROUP 64 /* work-items of a group that walks a list ... */
 #define TEAM (LANES == 1 ? 8 : 2) /* ... and of a team, which works on one pixel: CPUs have no room for more teams */
 #define TEAMS (WALK_GROUP / TEAM)
-#define MIXED_FLAG 0x80000000u /* of an entry of warp.open: the pixel is no hole, but mixed */
+#define NO_ENTRY 0xFFFFFFFFu
 
 /* Before a kernel that walks a list. */
 #define WALK __attribute__((vec_type_hint(float4), reqd_work_group_size(WALK_GROUP, 1, 1)))
 
 #define LISTED(list, i) ((list)[1 + (i)])
 
-/* Entry i of the list of open pixels; MIXED_FLAG behind its end. */
-INLINE uint entry_of(__global const uint *open, const uint i) { return i < open[0] ? LISTED(open, i) : MIXED_FLAG; }
+/* Entry i of the list of open pixels; NO_ENTRY behind its end. */
+INLINE uint entry_of(__global const uint *open, const uint i) { return i < open[0] ? LISTED(open, i) : NO_ENTRY; }
 
 INLINE void append(const uint entry, __global uint *list) { LISTED(list, atomic_inc(list)) = entry; }
 

@@ -6,122 +6,47 @@
 #include "warped_previous.h"
 #include "mu_law.h"
 
-#define BIN_BITS 16       /* dropped from a depth: bins are 1/128 of a power of two wide */
-#define BINS 32768       /* SCANNERS * SCANNED */
-#define COUNTED_ROWS 8    /* depth_histogram counts every eighth row */
-#define COUNTED_STRIP 128 /* rows per work-item of depth_histogram: equal bins one after another cost one atomic */
-#define READ_AT_ONCE 4 /* counted rows that are read before any is counted */
-#define COUNTERS 128 /* work-items of a group of depth_histogram ... */
-#define NEAR_BINS 1024 /* ... which counts so many bins, eight powers of two around the last median, by itself */
 #define SCANNERS 256 /* work-items of find_median */
-#define SCANNED 128 /* bins of each */
+#define LATTICE_X 64 /* depths that it looks at, over an image of any size, ... */
+#define LATTICE_Y 36
+#define SAMPLES 9 /* ... and of a work-item */
+#define ROUNDS 15 /* bits of the median that are found, after the sign */
 #define MAX_INVERSE_DEPTH 8.0f
 
-/* Where depths are counted: bins from `first` on in the group's own memory, others in everyone's. */
-typedef struct {
-    int first;
-    __local uint *near;
-    __global uint *histogram;
-} Counts;
-
-/* Counts a run of depths in one bin. */
-INLINE void count_run(const Counts counts, const int bin, const uint run) {
-    const uint near = (uint)(bin - counts.first);
-    if (!run) return;
-    if (near < NEAR_BINS)
-        atomic_add(counts.near + near, run);
-    else
-        atomic_add(counts.histogram + bin, run);
-}
-
-/* Counts the first `count` of LANES depths, those that are finite: `run` of them, the last ones, are in `bin`. */
-INLINE void count_depths(const Floats z, const int count, int *bin, uint *run, const Counts counts) {
-    const Ints is_counted = (LANE_NUMBERS < count) & (z > 0.0f) & !isinf(z);
-    const Ints bins = is_counted ? floats_as_ints(z) >> BIN_BITS : (Ints)(-1);
-    if (ALL(bins == *bin)) {
-        if (*bin >= 0) *run += LANES;
-        return;
-    }
-    for (int k = 0; k < LANES; ++k) {
-        if (int_of(&bins, k) < 0) continue;
-        if (int_of(&bins, k) != *bin) {
-            count_run(counts, *bin, *run);
-            *bin = int_of(&bins, k);
-            *run = 0;
-        }
-        ++*run;
-    }
-}
-
-/* Counts how often each bin of finite depth occurs in some of the rows. median_depth: that of the new frame before. */
-WIDE __kernel __attribute__((reqd_work_group_size(COUNTERS, 1, 1))) void
-depth_histogram(__constant Frame *restrict frame, __global const float *depth, __global const float *median_depth,
-                __global uint *histogram) {
+/* The median of the lattice's finite depths, to 1/256; 1 if there are none. It is found bit by bit: the largest number
+   below which less than half of the depths are. One work-group. */
+__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void
+find_median(__constant Frame *restrict frame, __global const float *depth, __global float *median_depth) {
     const int target_width = frame->target_width, target_height = frame->target_height, item = get_local_id(0);
-    const int dst_x = get_global_id(0) * LANES, first = get_global_id(1) * COUNTED_STRIP, count = target_width - dst_x;
-    const int rows = dst_x < target_width ? min(COUNTED_STRIP, target_height - first) : 0;
-    __local uint near[NEAR_BINS];
-    const Counts counts = {(as_int(*median_depth) >> BIN_BITS) - NEAR_BINS / 2, near, histogram};
-    for (int b = item; b < NEAR_BINS; b += COUNTERS) near[b] = 0;
+    __local uint below[ROUNDS], total;
+    if (item < ROUNDS) below[item] = 0;
+    if (item == 0) total = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    int bin = -1;
-    uint run = 0;
-    for (int row = 0; row < rows; row += READ_AT_ONCE * COUNTED_ROWS) {
-        Floats z[READ_AT_ONCE];
+    uint bits[SAMPLES], known = 0;
 #pragma unroll
-        for (int k = 0; k < READ_AT_ONCE; ++k) {
-            const int counted = row + k * COUNTED_ROWS, dst_y = first + min(counted, rows - 1);
-            const Floats z_row = load_some_floats(count, depth + dst_y * target_width + dst_x);
-            z[k] = counted < rows ? z_row : (Floats)(0.0f);
-        }
-        for (int k = 0; k < READ_AT_ONCE; ++k) count_depths(z[k], count, &bin, &run, counts);
+    for (int k = 0; k < SAMPLES; ++k) {
+        const int at = k * SCANNERS + item;
+        const int x = (2 * (at % LATTICE_X) + 1) * target_width / (2 * LATTICE_X);
+        const int y = (2 * (at / LATTICE_X) + 1) * target_height / (2 * LATTICE_Y);
+        const float z = depth[y * target_width + x];
+        const bool is_known = z > 0.0f && !isinf(z);
+        bits[k] = is_known ? as_uint(z) : UINT_MAX;
+        known += is_known;
     }
-    count_run(counts, bin, run);
+    atomic_add(&total, known);
     barrier(CLK_LOCAL_MEM_FENCE);
-    for (int b = item; b < NEAR_BINS; b += COUNTERS)
-        if (near[b]) atomic_add(histogram + counts.first + b, near[b]);
-}
-
-/* The middle of the bin in which half of the depths is reached; 1 if there are none. Clears the histogram for the next
-   frame. One work-group. */
-__kernel __attribute__((reqd_work_group_size(SCANNERS, 1, 1))) void find_median(__global uint *histogram,
-                                                                                __global float *median_depth) {
-    const uint item = get_local_id(0);
-    __local uint sums[SCANNERS], counts[SCANNED], found, found_below;
-    sums[item] = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (uint four = item; four < BINS / 4; four += SCANNERS) {
-        const uint4 bins = vload4(four, histogram);
-        const uint sum = (bins.x + bins.y) + (bins.z + bins.w);
-        if (sum) atomic_add(sums + four / (SCANNED / 4), sum);
-    }
-    barrier(CLK_LOCAL_MEM_FENCE);
-
-    /* The one whose bins lead from below the half to the half or beyond. */
-    uint total = 0, below = 0;
-    for (uint k = 0; k < SCANNERS; ++k) {
-        total += sums[k];
-        below += k < item ? sums[k] : 0;
-    }
     const uint half_way = (total + 1) / 2;
-    if (below < half_way && half_way <= below + sums[item]) {
-        found = item;
-        found_below = below;
+    uint found = 0;
+    for (int round = 0; round < ROUNDS; ++round) {
+        const uint tried = found | 1u << (30 - round);
+        uint count = 0;
+#pragma unroll
+        for (int k = 0; k < SAMPLES; ++k) count += bits[k] < tried;
+        atomic_add(below + round, count);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        if (below[round] < half_way) found = tried;
     }
-    barrier(CLK_LOCAL_MEM_FENCE);
-
-    /* The same among its bins. */
-    if (total && item < SCANNED) counts[item] = histogram[found * SCANNED + item];
-    barrier(CLK_LOCAL_MEM_FENCE | CLK_GLOBAL_MEM_FENCE);
-    for (uint four = item; four < BINS / 4; four += SCANNERS)
-        if (sums[four / (SCANNED / 4)]) vstore4((uint4)(0), four, histogram);
-    if (total == 0 && item == 0) *median_depth = 1.0f;
-    if (total == 0 || item >= SCANNED) return;
-    below = found_below;
-    for (uint k = 0; k < item; ++k) below += counts[k];
-    const uint bin = found * SCANNED + item;
-    if (below < half_way && half_way <= below + counts[item])
-        *median_depth = as_float((bin << BIN_BITS) | (1u << (BIN_BITS - 1)));
+    if (item == 0) *median_depth = total ? as_float(found | 1u << (30 - ROUNDS)) : 1.0f;
 }
 
 /* Products of lifted colors, which stay below 1e28: of the left and of the right strips of two rows. */

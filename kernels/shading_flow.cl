@@ -31,9 +31,7 @@
 #define LONGEST_FLOW 48 /* ... if each way it is shorter than this part of the width, ... */
 #define SMOOTH 2.0f /* ... varies by less than this each way between neighbors, in pixels of level 0, ... */
 #define BENT 0.1f /* ... where inverse depth bends by less than this part between three pixels */
-#define INVERSE_DEPTH 6 /* planes of the network's frames */
-#define INPUT_MASK 7
-#define REST 0.5f /* input mask of static pixels that are not disoccluded */
+#define INVERSE_DEPTH 6 /* plane of the network's frames */
 
 /* Level 1 of both frames: colors of the extrapolated one (3), and the brightness of both (2), this of level 0, too; and
    how far the detail of brightness, within 2x2 pixels, is the same in both: texture of the surface, which a change of
@@ -320,11 +318,10 @@ WIDE TILED __kernel void find_differences(__constant Frame *restrict frame, __gl
     }
 }
 
-/* Whether inverse depth bends, or anything moves or is disoccluded, in the 2x2 pixels of level 0 that pixels from (x,
-   y) of level 1 on have. Inverse depth of a plane does not bend. */
+/* Whether inverse depth bends in the 2x2 pixels of level 0 that pixels from (x, y) of level 1 on have. That of a plane
+   does not. */
 INLINE Ints is_rough(__global const float *frames, const int fine, const int fine_height, const int x, const int y) {
     __global const float *inverse = frames + INVERSE_DEPTH * fine * fine_height;
-    __global const float *mask = frames + INPUT_MASK * fine * fine_height;
     Ints rough = 0;
     for (int part = 0; part < 4; ++part) {
         const Ints column = 2 * (x + LANE_NUMBERS) + (part & 1);
@@ -336,7 +333,6 @@ INLINE Ints is_rough(__global const float *frames, const int fine, const int fin
         const Floats down =
             gather_floats(inverse, above * fine + column) + gather_floats(inverse, below * fine + column) - 2.0f * here;
         rough |= (fabs(across) > most) | (fabs(down) > most);
-        rough |= gather_floats(mask, row * fine + column) != REST;
     }
     return rough;
 }

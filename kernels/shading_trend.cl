@@ -9,8 +9,10 @@
 #include "thresholds.h"
 
 /* What set the thresholds: docs/deviations.md, "Flickering light is left alone". */
-/* TREND_REACH_SHARE: rows of the image per cell of reach: the neighborhood's sigma is about a 34th of its height */
-#define TREND_REACH_SHARE 120
+/* SPACING_SHARE: rows of the image per cell from one of the 5x5 cells around to the next: their sigma is about a 34th
+   of its height */
+#define SPACING_SHARE 240
+#define AROUND 2 /* of these cells, each way */
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
 #define MOST_CHANGE 1048576.0f /* factor of one pixel's color: products over a cell stay within floats */
@@ -82,7 +84,7 @@ WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global co
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int first_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
     if (first_x >= cells_width || cell_y >= cells_height) return;
-    if (first_x == 0 && cell_y == 0) *changed = 0; /* for find_change */
+    if (first_x == 0 && cell_y == 0) *changed = 0; /* for find_trend */
     const int count = min(LANES, cells_width - first_x), plane = cells_width * cells_height;
     Floats factor[3] = {1.0f, 1.0f, 1.0f}, known = 0.0f;
     Ints differing = 0;
@@ -106,60 +108,48 @@ WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global co
     store_some_bytes(to_bytes(differing), count, changed_samples + cell);
 }
 
-/* Whether more than a FEW samples change in any tile of TILE x TILE cells; measure_changes has set it to 0. */
-__kernel void find_change(__constant Frame *restrict frame, __global const uchar *changed_samples,
-                          __global int *changed) {
-    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
-    const int x0 = get_global_id(0) * TILE, y0 = get_global_id(1) * TILE;
-    if (x0 >= cells_width || y0 >= cells_height) return;
-    int sum = 0;
-    for (int y = y0; y < min(y0 + TILE, cells_height); ++y)
-        for (int x = x0; x < min(x0 + TILE, cells_width); ++x) sum += changed_samples[y * cells_width + x];
-    if (sum > FEW) atomic_or(changed, 1);
-}
-
-/* Planes, in the third dimension, blurred along rows: a cell counts the less the farther away it is, none farther than
-   the reach; beyond the image there is nothing. */
-WIDE __kernel void blur_rows(__constant Frame *restrict frame, __global const float *changes, __global float *blurred) {
-    const int reach = max(1, frame->source_height / TREND_REACH_SHARE);
-    const int cells_width = frame->cells_width, cells_height = frame->cells_height;
-    const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1);
-    if (cell_x >= cells_width || cell_y >= cells_height) return;
-    const int row = (get_global_id(2) * cells_height + cell_y) * cells_width;
-    const bool inner = cell_x >= reach && cell_x + reach + LANES <= cells_width;
-    __global const float *values = changes + row;
-    Floats sum = 0.0f;
-    for (int dx = -reach; dx <= reach; ++dx) {
-        const float weight = (float)(reach + 1 - abs(dx));
-        if (inner) {
-            sum += weight * load_floats(0, values + cell_x + dx);
-        } else {
-            const Ints x = cell_x + dx + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(cells_width - 1));
-            sum += x == there ? weight * gather_floats(values, there) : (Floats)(0.0f);
-        }
+/* Whether more than a FEW samples change in any of the tiles of TILE x TILE cells whose first cells are LANES from
+   (first_x, first_y) on. */
+INLINE bool changes_in_tiles(__global const uchar *changed_samples, const int first_x, const int first_y,
+                             const int cells_width, const int cells_height) {
+    bool changes = false;
+    for (int x0 = first_x; x0 < min(first_x + LANES, cells_width); x0 += TILE) {
+        int sum = 0;
+        for (int y = first_y; y < min(first_y + TILE, cells_height); ++y)
+            for (int x = x0; x < min(x0 + TILE, cells_width); ++x) sum += changed_samples[y * cells_width + x];
+        changes |= sum > FEW;
     }
-    store_some_floats(sum, cells_width - cell_x, blurred + row + cell_x);
+    return changes;
 }
 
-/* Blurs along columns, and takes the mean of known values. */
-WIDE __kernel void find_trend(__constant Frame *restrict frame, __global const float *blurred, __global float *trend) {
-    const int reach = max(1, frame->source_height / TREND_REACH_SHARE);
+/* Means of known values over 5x5 cells around each, which count the less the farther away they are; beyond the image
+   there is nothing. And whether anything changes; measure_changes has set that to 0. */
+WIDE __kernel void find_trend(__constant Frame *restrict frame, __global const float *changes,
+                              __global const uchar *changed_samples, __global float *trend, __global int *changed) {
     const int cells_width = frame->cells_width, cells_height = frame->cells_height;
     const int cell_x = get_global_id(0) * LANES, cell_y = get_global_id(1), count = cells_width - cell_x;
+    const int spacing = max(1, frame->source_height / SPACING_SHARE);
     if (cell_x >= cells_width || cell_y >= cells_height) return;
+    if (cell_x % TILE == 0 && cell_y % TILE == 0
+        && changes_in_tiles(changed_samples, cell_x, cell_y, cells_width, cells_height))
+        atomic_or(changed, 1);
     const int plane = cells_width * cells_height, cell = cell_y * cells_width + cell_x;
-    const float whole = (float)((reach + 1) * (reach + 1) * (reach + 1) * (reach + 1)); /* sum of all weights */
     Floats sum[CHANGES];
-    for (int c = 0; c < CHANGES; ++c) {
-        sum[c] = 0.0f;
-        for (int y = max(cell_y - reach, 0); y <= min(cell_y + reach, cells_height - 1); ++y)
-            sum[c] += (float)(reach + 1 - abs(y - cell_y))
-                      * load_some_floats(count, blurred + c * plane + y * cells_width + cell_x);
+    for (int c = 0; c < CHANGES; ++c) sum[c] = 0.0f;
+    for (int dy = -AROUND; dy <= AROUND; ++dy) {
+        const int y = cell_y + dy * spacing;
+        if (y < 0 || y >= cells_height) continue;
+        for (int dx = -AROUND; dx <= AROUND; ++dx) {
+            const Ints x = cell_x + dx * spacing + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(cells_width - 1));
+            const float share = (float)((AROUND + 1 - abs(dx)) * (AROUND + 1 - abs(dy))) * (1.0f / 81.0f);
+            const Floats weight = x == there ? (Floats)(share) : (Floats)(0.0f);
+            for (int c = 0; c < CHANGES; ++c)
+                sum[c] += weight * gather_floats(changes + c * plane + y * cells_width, there);
+        }
     }
-    const float least = LEAST_SHARE * whole;
-    const Floats share = wide_greater(sum[3], (Floats)(least));
+    const Floats share = wide_greater(sum[3], (Floats)(LEAST_SHARE));
     for (int c = 0; c < 3; ++c) store_some_floats(wide_divide(sum[c], share), count, trend + c * plane + cell);
-    store_some_floats(wide_divide(sum[3], (Floats)(whole)), count, trend + 3 * plane + cell);
+    store_some_floats(sum[3], count, trend + 3 * plane + cell);
 }
 
 /* The four cells around positions in a rendered image, and their weights; 0 behind the camera. */

@@ -9,6 +9,7 @@
 #include "flow.h"
 #include "blocks.h"
 #include "layers.h"
+#include "border_lines.h"
 #include "lists.h"
 #include "thresholds.h"
 
@@ -29,7 +30,7 @@ typedef struct {
     __global half *color;
     __global float *depth;
     __global float2 *motion;
-    __global uchar *dynamic_mask, *disoccluded, *filled_by, *mixed;
+    __global uchar *dynamic_mask, *disoccluded, *filled_by;
 } NewFrame;
 
 /* ---- splat --------------------------------------------------------------------------------------------------- */
@@ -236,14 +237,12 @@ INLINE Floats without_rounding(const Floats d) { return fabs(d) < STILL ? (Float
 INLINE void store_labels(const NewFrame to, const int dst, const int count, const Bytes dynamic_mask, const Ints own) {
     store_some_bytes(min(dynamic_mask, (Bytes)(DYNAMIC)), count, to.dynamic_mask + dst);
     store_some_bytes((Bytes)(0), count, to.disoccluded + dst);
-    store_some_bytes((Bytes)(0), count, to.mixed + dst);
     store_some_bytes(to_bytes(own ? (Ints)(BY_WARP) : (Ints)(BY_CRACK_CLOSING)), count, to.filled_by + dst);
 }
 
-/* `count` pixels, but for their color, from the fragments that won them. Gives the entries in the list of open pixels
-   of lanes that are mixed, else NOBODY. */
-INLINE Uints resolve_found(const Fragments from, const Rendered shown, const Found won, const NewFrame to,
-                           const int dst_x, const int dst_y, const int count, Samples *samples) {
+/* `count` pixels, but for their color, from the fragments that won them. */
+INLINE void resolve_found(const Fragments from, const Rendered shown, const Found won, const NewFrame to,
+                          const int dst_x, const int dst_y, const int count, Samples *samples) {
     /* Where the fragments go, and their flow. */
     const int dst = dst_y * from.target_width + dst_x;
     const Floats center_x = row_centers(dst_x);
@@ -279,15 +278,13 @@ INLINE Uints resolve_found(const Fragments from, const Rendered shown, const Fou
                   to.motion + dst);
     store_labels(to, dst, count, bytes_at(shown.dynamic_mask, places),
                  (floor(at.x.here) == center_x - 0.5f) & (floor(at.y.here) == center_y - 0.5f));
-    const Ints mixed = (step_x != 0) | (step_y != 0);
-    return mixed ? to_uints(dst + LANE_NUMBERS) | MIXED_FLAG : (Uints)(NOBODY);
 }
 
 /* The fragments that were splatted nearest. A block at the image's border may only be smooth if it is RESTING. A place
    a whole pixel to the right or down of a fragment has taps three pixels from it. */
-INLINE void found_by_splatting(const Fragments from, const Winners winners, __global const uchar *source_smooth,
-                               const int dst, const int count, Found *won) {
-    const Uints src = load_some_winners(count, winners.keys, winners.winners, dst);
+INLINE void found_by_splatting(const Fragments from, __global const Key *keys, __global const uint *winners,
+                               __global const uchar *source_smooth, const int dst, const int count, Found *won) {
+    const Uints src = load_some_winners(count, keys, winners, dst);
     const Ints exist = (src != NOBODY) & (LANE_NUMBERS < count);
     Ints x, y;
     wide_column_and_row(exist ? to_ints(src) : (Ints)(0), from.width, &x, &y);
@@ -334,14 +331,8 @@ INLINE void resolve_block(const Fragments from, const Rendered shown, const NewF
     samples_at(src, dx, dy, from.width, samples);
 }
 
-/* A pixel that is left to later stages. One that is mixed empties its key: the background may fill it. */
-INLINE void leave_open(const uint entry, const Winners winners, const NewFrame to, const int unfilled_label) {
-    const int dst = (int)(entry & ~MIXED_FLAG);
-    to.mixed[dst] = entry >= MIXED_FLAG;
-    if (entry >= MIXED_FLAG) {
-        forget(winners.keys, winners.winners, dst);
-        return;
-    }
+/* A pixel that is left to later stages. */
+INLINE void leave_open(const int dst, const NewFrame to, const int unfilled_label) {
     store_color((float3)(0.0f), to.color, dst);
     to.depth[dst] = INFINITY;
     to.motion[dst] = (float2)(0.0f);
@@ -363,16 +354,17 @@ INLINE void copy_pixels(const Fragments from, const Rendered shown, const NewFra
     store_labels(to, pixel, LANES, (Bytes)(STATIC), ALL_LANES);
 }
 
-/* LANES pixels per work-item. Lists those that are open: holes, and mixed ones. */
+/* LANES pixels per work-item. Lists those that are open. Finds lines at the rendered image's border, too, for holes
+   that continue their far side; but not under a camera that stays, which has nothing out of screen. */
 LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
                             __global const uchar *block_class, __global const float8 *block_source,
-                            __global const uchar *source_smooth, __global Key *keys, __global uint *winners,
+                            __global const uchar *source_smooth, __global const Key *keys, __global const uint *winners,
                             __global const half *color, __global const half *codes, __global const float *depth,
                             __global const uchar *dynamic_mask, __global const uchar *links,
                             __global const float *target_position, __global const float *sharpness,
                             __global half *out_color, __global float *out_depth, __global float2 *out_motion,
                             __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
-                            __global uchar *mixed, __global uint *open) {
+                            __global uint *open, __global float *border_lines) {
     const int width = frame->source_width;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const Fragments from = fragments_of(frame, depth, target_position, links);
@@ -381,19 +373,20 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             .dynamic_mask = dynamic_mask,
                             .code_offset = frame->code_offset,
                             .sharpening = sharpening_of(sharpness, frame)};
-    const Winners winning = {keys, winners};
     const NewFrame to = {.color = out_color,
                          .depth = out_depth,
                          .motion = out_motion,
                          .dynamic_mask = out_dynamic,
                          .disoccluded = disoccluded,
-                         .filled_by = filled_by,
-                         .mixed = mixed};
+                         .filled_by = filled_by};
     const int dst_x = get_global_id(0) * LANES, dst_y = get_global_id(1), dst = dst_y * target_width + dst_x;
     const bool is_pixel = dst_x < target_width && dst_y < target_height;
     const int block = is_pixel ? block_of(dst_x, dst_y, target_width) : 0;
     const uchar class = block_class[block];
-    Uints entries = (Uints)(NOBODY); /* in the list of open pixels */
+    Ints left = (Ints)(0); /* lanes that are left open */
+    if (frame->far_side && !frame->stays)
+        find_border_lines(get_global_id(1) * get_global_size(0) + get_global_id(0),
+                          get_global_size(0) * get_global_size(1), frame, codes, border_lines);
     if (is_pixel && class == COPIED) {
         copy_pixels(from, shown, to, dst);
     } else if (is_pixel) {
@@ -403,14 +396,14 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
         if (class == BACKWARD) {
             resolve_block(from, shown, to, block_source[block], dst_x, dst_y, &samples);
         } else {
-            found_by_splatting(from, winning, source_smooth, dst, count, &won);
-            if (ANY(won.exist)) entries = resolve_found(from, shown, won, to, dst_x, dst_y, count, &samples);
-            entries = (!won.exist & (LANE_NUMBERS < count)) ? to_uints(dst + LANE_NUMBERS) : entries;
+            found_by_splatting(from, keys, winners, source_smooth, dst, count, &won);
+            if (ANY(won.exist)) resolve_found(from, shown, won, to, dst_x, dst_y, count, &samples);
+            left = !won.exist & (LANE_NUMBERS < count);
         }
         resample_lanes(samples, won.exist, width, shown, dst, out_color);
     }
-    for (int k = 0; ANY(entries != NOBODY) && k < LANES; ++k)
-        if (uint_of(&entries, k) != NOBODY) leave_open(uint_of(&entries, k), winning, to, unfilled_label);
+    for (int k = 0; ANY(left) && k < LANES; ++k)
+        if (int_of(&left, k)) leave_open(dst + k, to, unfilled_label);
     __local uint shared[2];
-    append_lanes(entries != NOBODY, entries, open, shared);
+    append_lanes(left, to_uints(dst + LANE_NUMBERS), open, shared);
 }

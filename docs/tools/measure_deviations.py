@@ -91,9 +91,6 @@ GAE: dict[str, Change] = {
     ),
     "edges are as sharp as earlier frames were": Change({"sharpness": False}),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
-    "… of these, the mean with what the background knows": Change(
-        edits={"background.cl": {"to.mixed[dst] && is_same_surface": "false && is_same_surface"}}
-    ),
     "the surface met at x' is checked": Change(constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f"}}),
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
@@ -124,9 +121,6 @@ GAE: dict[str, Change] = {
     ),
     "a single level of background, which remembers what movers hide": Change({"levels": 2}),
     "background texels cover what they map to": Change(constants={"background.cl": {"TEXEL_HALF": "0.0f"}}),
-    "what the frame before showed is taken from there": Change(
-        edits={"background.cl": {"!frame->has_previous || !shown_before": "true || !shown_before"}}
-    ),
     "hidden parts of movers": Change({"hidden_parts": False}),
     "… the frame before must not have shown anything farther": Change(
         edits={"hidden_parts.cl": {"if (!frame->has_previous ||": "if (true ||"}}
@@ -137,17 +131,13 @@ GAE: dict[str, Change] = {
         edits={"holes.cl": {"return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);": "return false;"}}
     ),
     "what lies beyond the image has no far side": Change(
-        edits={
-            "holes.cl": {
-                "s.is_outside = is_out": "s.is_outside = false && is_out",
-                "tile.after_far_side && is_out": "false && is_out",
-            }
-        }
+        edits={"holes.cl": {"s.is_outside = is_out": "s.is_outside = false && is_out"}}
     ),
     "… lines go on at their angle": Change(
         edits={
             "holes.cl": {
-                "= color_beyond(px_source.xy, frame, f);": "= continued(mean->xyz, px_source, frame, f.codes);"
+                "= color_beyond(px_source.xy, frame, f);": "= decode_color(0.5f * (encode_color(mean.xyz, offset)"
+                " + border_code(px_source.xy, frame, f.codes)), offset);"
             }
         }
     ),

@@ -19,6 +19,7 @@ SCENE = Rects(
         Rect((0, 0, 12), (9, 4), frequency=0.3),
         Rect((-1, 0.5, 6), (0.8, 1.5), velocity=(9, 0, 0), frequency=1, tint=(0.7, 0.2, 0.1)),
         Rect((1.5, -0.3, 5), (0.5, 0.5), velocity=(-3, 2, -12), frequency=2, tint=(4, 5, 90)),
+        Rect((-1.2, -1.2, 8), (0.6, 0.6), velocity=(-26, 0, 0), frequency=1, tint=(0.2, 0.6, 0.1)),
         Rect((0.2, 0, 4), (0.05, 3), frequency=2, tint=(0.1, 0.1, 0.1)),
     ]
 )
@@ -133,7 +134,6 @@ class Case(NamedTuple):
         if stage is None:
             return frame
         names = list(self.pipeline.stages)
-        frame["mixed"] = self.read("warp", "mixed")
         for owner, spec in self.pipeline.named_buffers():
             if owner not in self.pipeline.stages.values() and owner.name in names[: names.index(stage) + 1]:
                 frame[spec.name] = owner.read(spec.name)  # in the order of the stages

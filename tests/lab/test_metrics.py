@@ -8,7 +8,7 @@ import pytest
 
 from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.lab import metrics
-from gffe_cl.lab.metrics import METRICS, RegionErrors, psnr, shading_regions, smape, ssim, to_display
+from gffe_cl.lab.metrics import METRICS, RegionErrors, focus_mask, psnr, shading_regions, smape, ssim, to_display
 
 
 def test_display_values():
@@ -65,6 +65,21 @@ def test_smape():
     np.testing.assert_allclose(smape(a, b, exposure=0.01)[0, 0], 0.02 / 0.02 / 3, rtol=1e-5)
 
 
+def test_focus_mask_is_where_a_shadow_has_moved():
+    """A shadow a pixel off is forgiven, one further off is not; movers are never in focus."""
+    color, truth, dynamic = np.ones((16, 32, 3)), np.ones((16, 32, 3)), np.zeros((16, 32), np.uint8)
+    color[:, 8:14], truth[:, 9:15] = 0.2, 0.2
+    assert smape(color, truth).max() > 0.5 and not focus_mask(color, truth, dynamic).any()
+    truth[:, 9:15], truth[:, 12:18] = 1, 0.2
+    expected = np.zeros_like(dynamic)
+    expected[:, 8:11], expected[:, 14:17] = 1, 1
+    assert np.array_equal(focus_mask(color, truth, dynamic), expected)
+    dynamic[:8] = 1
+    expected[:8] = 0
+    assert np.array_equal(focus_mask(color, truth, dynamic), expected)
+    assert not focus_mask(color, truth, dynamic, 1e-4).any()  # too dark to see
+
+
 def images(seed=0, shape=(20, 30, 3)):
     rng = np.random.default_rng(seed)
     truth = rng.random(shape).astype(np.float32)
@@ -94,7 +109,7 @@ def test_every_metric_knows_better_from_worse(monkeypatch):
     assert metrics.measurable() == list(METRICS.values()) and not metrics.missing_metrics()
     for name, metric in METRICS.items():
         better, worse = metric.measure(half, truth), metric.measure(shown, truth)
-        assert metric.name == name and metric.gain(worse, better) > 0 > metric.gain(better, worse)
+        assert metric.name == name and (better > worse) == metric.higher_is_better
         assert np.isnan(metric.measure(shown, truth, np.zeros((20, 30))))
         assert metric.text(float("nan")) == "–" and float(metric.text(better)) == pytest.approx(better, abs=0.01)
     assert METRICS["psnr"].sentence(31.2) == "PSNR 31.20 dB" and METRICS["ssim"].title == "SSIM"

@@ -19,7 +19,6 @@ from gffe_cl.engine.stages.buffers import Sizes
 from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Presentation
-from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
@@ -68,7 +67,6 @@ class Kernels(dict):
             Presentation(board)
             Upload(board)
             Composition(board)
-            FocusMask(board)
             if network.default_model() or any(key[0] == ShadingCorrection.name for key in self):
                 ShadingCorrection(board, load=False)  # the network itself is not needed
         except Exception as error:

@@ -11,7 +11,6 @@ from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 
 from gffe_cl.captures.offline.run import alphas_for
 from gffe_cl.captures.sequence.described import described_frame
@@ -39,9 +38,9 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.timing.parts import memory
+from gffe_cl.lab.metrics import focus_mask
 from .invalid import Invalid, fault_at, invalid_pixels, seen_at, seen_through
 from .messages import Frame, Interrupted, Key, Recipe
 from .reloading import Kernels
@@ -68,6 +67,7 @@ class Seeker:
         self.pipeline: Pipeline | None = None
         self.shot: Shot | None = None
         self.truth: np.ndarray | None = None  # of the shot, (H, W, 3), if it was asked for
+        self.focus: np.ndarray | None = None  # where that says that shading is wrong, (H, W), likewise
         self.bad_pixels = BadPixels()
         self.invalid: np.ndarray | None = None  # pixels of the frame submitted last: a mask, see `invalid_pixels`
         self.stored: RenderedFrame | None = None  # the frame submitted last, as an engine stored it, ...
@@ -77,7 +77,6 @@ class Seeker:
         self._before: Camera | None = None  # render camera of the frame before
         self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
         self._presented = None
-        self._focus: FocusMask | None = None  # made when it is asked for
 
     @property
     def _running(self) -> Pipeline:
@@ -126,6 +125,7 @@ class Seeker:
     def shoot(self, k: int, alpha: float) -> Shot:
         """Make the slot at `alpha` after rendered frame `k`, which was submitted last, and return it."""
         pipeline, frame, shown, self.truth = self._running, self._frame, self._presented, None
+        self.focus = None
         assert frame is not None and shown is not None  # `go_to` came first
         buffers = {
             names.RENDERED_COLOR: frame.color,
@@ -146,15 +146,11 @@ class Seeker:
             self.shot = Shot(Moment(k, 0.0, frame.time, shown.camera, *cameras), buffers)
         return self.shot
 
-    def find_focus(self, truth: np.ndarray) -> None:
-        """Add "focus_truth" to the shot, an extrapolated one; `truth`: (H, W, 4) float16."""
-        if self._focus is None:
-            self._focus = FocusMask(self._running.board)
-            self._true_color = self.device.buffer(truth.nbytes)
-        cl.enqueue_copy(self.device.queue, self._true_color, truth)
-        self._focus.make(self._true_color, self.source.exposure)
-        assert self.shot is not None
-        self.shot.buffers[names.FOCUS_TRUTH] = self._focus.buffer["focus_truth"]
+    def find_focus(self, truth: np.ndarray) -> np.ndarray:
+        """Return `focus` of the shot, an extrapolated one, before shading correction; `truth`: (H, W, 4) float16."""
+        color, dynamic = (self._running.board.frame.read(name) for name in ("color", "dynamic"))
+        self.focus = focus_mask(color[..., :3], truth[..., :3], dynamic, self.source.exposure).astype(np.uint8)
+        return self.focus
 
     def _restart(self) -> None:
         self.drop()  # before as much is allocated again
@@ -288,8 +284,6 @@ class SlotMaker:
         wanted, truth = layers & specs.keys(), None
         if alpha and source.has_truth and wanted & {names.TRUTH, names.FOCUS_TRUTH}:
             seeker.truth = truth = self._truth(k, alpha, notes)
-        if truth is not None and names.FOCUS_TRUTH in wanted:
-            seeker.find_focus(_rgba(truth))
         self.nbytes = sum(memory(pipeline).values())
         reading = time.perf_counter()
         images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
@@ -299,6 +293,8 @@ class SlotMaker:
             images[names.UNDONE] = _changed_motion(stored, seeker.converted, source.format)
         if truth is not None and names.TRUTH in wanted:
             images[names.TRUTH] = _rgba(truth)
+        if truth is not None and names.FOCUS_TRUTH in wanted:
+            images[names.FOCUS_TRUTH] = seeker.find_focus(_rgba(truth))
         return Frame(
             key,
             layers,
@@ -348,6 +344,8 @@ class SlotMaker:
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
             values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
+        if seeker.focus is not None:
+            values.here[names.FOCUS_TRUTH] = seeker.focus[y, x]
         return Inspection((x, y), self.key.slot, story.source, values.here, story, fault, values.origin)
 
 

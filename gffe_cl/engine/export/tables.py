@@ -22,7 +22,6 @@ from gffe_cl.engine.stages.buffers import (
     CUT_SAMPLES,
     LEAST_ALIGNMENT,
     RESIDUAL_ROWS,
-    TILE_GROUP,
     WALKERS,
     BufferSpec,
     grid_of,
@@ -63,8 +62,6 @@ def config(options: Options) -> str:
     numbers = {
         "MOST_PIXELS": MOST_PIXELS,
         "DOWNSAMPLING": grid_of("downsampled").texel[0],
-        "TILE": grid_of("tiles").texel[0],
-        "TILE_GROUP": TILE_GROUP,
         "RESIDUAL_STRIDE": grid_of("residuals").texel[0],
         "RESIDUAL_ROWS": RESIDUAL_ROWS,
         "BLOCK_WIDTH": BLOCK[0],

@@ -13,7 +13,6 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import RENDERED, RGBA, XY, BufferSpec, ExtrapolatedBuffers, Owner
 from gffe_cl.engine.stages.presentation import Presentation
-from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
 
 VIEWS = ("color", "depth", "motion", "place", "world", "mask", "label", "scalar")
@@ -67,7 +66,14 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
             "ground truth: the rendered image at this time, linear RGB",
             "color",
         ),
-        *FocusMask.buffers,
+        BufferSpec(
+            names.FOCUS_TRUTH,
+            np.uint8,
+            (),
+            "target",
+            "static, and unlike the truth around (M_focus: SMAPE > 0.5)",
+            "mask",
+        ),
         BufferSpec(
             names.UNDONE,
             np.float32,

@@ -10,7 +10,7 @@ UNDONE = "rendered.undone"
 
 # of the extrapolated frame
 DEPTH, MOTION, DYNAMIC = "frame.depth", "frame.motion", "frame.dynamic"
-DISOCCLUDED, FILLED_BY, MIXED = "frame.disoccluded", "frame.filled_by", "warp.mixed"
+DISOCCLUDED, FILLED_BY = "frame.disoccluded", "frame.filled_by"
 
 # of stages
 HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "history.dynamic_mask"
@@ -18,7 +18,7 @@ VELOCITY, ACCELERATION = "acceleration.velocity", "acceleration.acceleration"
 VIEW_VELOCITY = "acceleration.view_velocity"
 LINKS = "connectivity.links"  # neighbors of one surface, a bit each
 TARGET_POSITION = "prediction.target_position"
-BORDER_LINES = "holes.border_lines"
+BORDER_LINES = "warp.border_lines"
 COVERAGE = "silhouettes.coverage"
 FOCUS_MASK, FOLLOWED = "correction.focus_mask", "shading_flow.followed"
 UPSCALED, REJECTED, LOCK = "upscaling.history", "upscaling.rejected", "upscaling.lock"

@@ -89,13 +89,7 @@ class Background(NearestStage):
         Kernel(
             "project_levels",
             "levels{levels}",
-            _levels("depth px state")
-            | {
-                "disoccluded": "frame.disoccluded",
-                "mixed": "warp.mixed",
-                "depth": "frame.depth",
-            }
-            | _PROJECTED,
+            _levels("depth px state") | {"disoccluded": "frame.disoccluded"} | _PROJECTED,
             _PROJECTED,
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
@@ -109,8 +103,9 @@ class Background(NearestStage):
                 "open": "warp.open",
                 "color_prev": "previous.color",
                 "depth_prev": "previous.depth",
-                "state_prev": "background.state_0'",
+                "disoccluded": "frame.disoccluded",
                 "color": "frame.color",
+                "depth": "frame.depth",
                 "filled_by": "frame.filled_by",
             }
             | _levels("color depth px state")

@@ -38,7 +38,6 @@ _LABELS = constants("common.h")
 BLOCK = tuple(constants("blocks.h")[f"BLOCK_{side}"] for side in ("WIDTH", "HEIGHT"))  # pixels
 _HOLES, _HISTORY = constants("holes.cl"), constants("history.cl")
 DOWNSAMPLING = _HOLES["DOWNSAMPLING"]  # of hole filling as in the paper
-TILE, TILE_GROUP = _HOLES["TILE"], _HOLES["GROUP"]  # texels of it each way, and the work-items that fill from them
 CUT_SAMPLES = (_HISTORY["SAMPLES_X"], _HISTORY["SAMPLES_Y"])  # at most, of the rendered image
 RUN_PIXELS = constants("upload.cl")["RUN_PIXELS"]
 WALKERS = 2048 * constants("lists.h")["WALK_GROUP"]  # work-items that walk a list, at most
@@ -90,7 +89,7 @@ _ON_SOURCE = {
 }  # fmt: skip
 _ON_TARGET = {
     "target": (1, 1), "target_blocks": BLOCK, "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
-    "tiles": (TILE * DOWNSAMPLING, TILE * DOWNSAMPLING), "network": (2, 2),
+    "network": (2, 2),
 }  # fmt: skip
 _LAID_OVER_NOTHING = (
     "once", "walk", "cut_samples", "measures", "predictions", "list_source", "list_target", "flat_level",
@@ -144,8 +143,6 @@ class Grid:
                 return sizes.source[0], sizes.source[1] + 1
         image = sizes.source if self.lies_on_source else sizes.target
         width, height = (-(-pixels // side) for pixels, side in zip(image, self.texel, strict=True))
-        if self.kind == "tiles":
-            return width * TILE_GROUP, height
         if self.kind == "network":
             multiple = MULTIPLE >> self.level
             return -(-width // multiple) * multiple, -(-height // multiple) * multiple
@@ -186,7 +183,7 @@ class BufferSpec:
     "levels1" … (so many of these one after another), "network" (target / 2,
     rounded up to multiples of 16), "network1" … "network4" (that / 2^l), "cells" (source / 8, rounded up) or "once" (no
     image). Some kernels have grids of their own: "residuals" (source / 4, rounded up), "runs" (31 pixels in a row of
-    "source" each), "tiles" (a work-group for each 4×4 texels of "downsampled"), "cut_samples" (so many of the rendered
+    "source" each), "cut_samples" (so many of the rendered
     image), "measures" (a row, these and the residuals, one below the other), "predictions" ("source" and a row more),
     "flat_level0" … (the texels of a level in one row) and "walk" (those that walk a list). A list of pixels
     (lists.h) has the grid "list_source" or "list_target": its length, and one texel per pixel. `components` name its

@@ -55,8 +55,8 @@ class ShadingCorrection(Stage):
     pictures: ClassVar[Mapping[str, str]] = {"extrapolated": "color"}
     buffers = (
         BufferSpec(
-            "judgement", np.float32, (), "network1", "output of the convolutions, at a quarter of the resolution: a"
-            " flow of their own / 4 (1, 2), weight of the found flow before the sigmoid (3), how much longer trends"
+            "judgement", np.float32, (), "network1", "output of the convolutions, at a quarter of the resolution:"
+            " nothing (1, 2), weight of the found flow before the sigmoid (3), how much longer trends"
             " last (4); four pixels of each of four channels of detail (5–20)",
             planes=JUDGEMENT_PLANES, mapped=True,
         ),

@@ -75,9 +75,7 @@ class HiddenParts(NearestStage):
             "walk",
             {
                 "source_motion": "rendered.motion",
-                "met_depth": "history.met_depth",
                 "target_position": "prediction.target_position",
-                "depth_prev": "previous.depth",
                 "color_prev": "previous.color",
                 "offered": "hidden_parts.offered",
             }

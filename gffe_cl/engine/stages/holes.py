@@ -15,6 +15,7 @@ _CONSTANTS = constants("holes.cl")
 
 _IMAGE = {name: f"frame.{name}" for name in ("color", "depth")}
 _FILLED = {name: f"frame.{name}" for name in ("color", "depth", "motion")}
+_SUMS = {name: f"holes.{name}" for name in ("downsampled_color", "downsampled_inverse_depth")}
 
 
 class HoleFilling(Stage):
@@ -34,7 +35,7 @@ class Downsampled(HoleFilling):
             np.float32,
             ("R", "G", "B", "weight"),
             "downsampled",
-            "weighted sum of valid color over 32×32 pixels; 0 where no hole asks for it",
+            "weighted sum of valid color over 32×32 pixels",
             "color",
         ),
         BufferSpec(
@@ -44,69 +45,39 @@ class Downsampled(HoleFilling):
             "downsampled",
             "weighted sum of inverse depth over them, 1/world units",
         ),
-        BufferSpec("beyond", np.uint32, (), "once", "whether pixels are left by the far side", scratch=True),
     )
     kernels = (
         Kernel(
-            "fill_from_downsampled",
-            "tiles",
+            "downsample",
+            "target",
             {
                 "filled_by": "frame.filled_by",
-                "codes": "color_code.codes",
                 "source_color": "rendered.color",
                 "source_depth": "rendered.depth",
-                "beyond": "holes.beyond",
             }
             | _IMAGE,
-            _FILLED
-            | {
-                "downsampled_color": "holes.downsampled_color",
-                "downsampled_inverse_depth": "holes.downsampled_inverse_depth",
-            },
-            group="GROUP",
+            _SUMS,
+            step=(1, "DOWNSAMPLING"),
+            group="DOWNSAMPLING",
+        ),
+        Kernel(
+            "fill_from_downsampled",
+            "walk",
+            {"open": "warp.open", "filled_by": "frame.filled_by"} | _SUMS,
+            _FILLED,
+            group="WALK_GROUP",
         ),
     )
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("fill_from_downsampled", step, after_far_side=self.reach > 0)
+        for kernel in ("downsample", "fill_from_downsampled"):
+            self.launch(kernel, step)
 
 
-class FarSide(Downsampled):
-    """Continues the surface behind a disocclusion. Beyond its reach the downsampled image is used. Colors from the
-    background are mixed with the far side."""
+class FarSide(HoleFilling):
+    """Continues the surface behind a disocclusion or, out of screen, the lines at the image's border."""
 
-    buffers = (
-        *Downsampled.buffers,
-        BufferSpec(
-            "border_lines",
-            np.float32,
-            (),
-            "cells",
-            "structure tensor of the color code, xx, xy and yy, in cells at the image's border; 0 elsewhere; while the "
-            "camera stays, an older one",
-            planes=3,
-        ),
-    )
     kernels = (
-        Kernel(
-            "prepare_far_side",
-            "walk",
-            {
-                "open": "warp.open",
-                "codes": "color_code.codes",
-                "disoccluded": "frame.disoccluded",
-                "filled_by": "frame.filled_by",
-                "color_prev": "previous.color",
-                "depth_prev": "previous.depth",
-            }
-            | _IMAGE,
-            {
-                "border_lines": "holes.border_lines",
-                "color": "frame.color",
-                "beyond": "holes.beyond",
-            },
-            group="WALK_GROUP",
-        ),
         Kernel(
             "fill_far_side",
             "walk",
@@ -116,23 +87,21 @@ class FarSide(Downsampled):
                 "codes": "color_code.codes",
                 "source_depth": "rendered.depth",
                 "is_dynamic": "frame.dynamic",
-                "border_lines": "holes.border_lines",
+                "border_lines": "warp.border_lines",
             }
             | _IMAGE,
-            _FILLED | {"beyond": "holes.beyond"},
+            _FILLED,
             group="WALK_GROUP",
         ),
-        *Downsampled.kernels,
     )
 
     def __init__(self, board: Board):
         self.reach = max(_CONSTANTS["LEAST_REACH"], board.sizes.target[0] // _CONSTANTS["REACH_SHARE"])
+        board.facts["far_side"] = True
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        self.launch("prepare_far_side", step)
         self.launch("fill_far_side", step)
-        super().extrapolated(step)
 
 
 # By the option `hole_filling`; None leaves holes.

@@ -5,14 +5,11 @@ from __future__ import annotations
 import numpy as np
 
 from gffe_cl.engine.inference.model_interface import INPUT_PLANES
-from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 from gffe_cl.engine.stages.shading import SEEN
 from gffe_cl.engine.stages.shading_trend import ShadingTrend
-
-_CONSTANTS = constants("network_input.cl")
 
 
 class NetworkInput(Stage):
@@ -29,30 +26,14 @@ class NetworkInput(Stage):
             " previous frame (4–6), inverse depth (7), input mask (8); half resolution",
             planes=INPUT_PLANES, mapped=True,
         ),
-        BufferSpec(
-            "histogram", np.uint32, (), "once", "of the depths' leading bits; cleared once the median is known",
-            planes=_CONSTANTS["BINS"], scratch=True,
-        ),
-        BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of every eighth row, to 1/256"),
+        BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of 64×36 pixels, to 1/256"),
     )  # fmt: skip
     kernels = (
         Kernel(
-            "depth_histogram",
-            "target",
-            {
-                "depth": "frame.depth",
-                "median_depth": "network_input.median_depth",
-                "histogram": "network_input.histogram",
-            },
-            {"histogram": "network_input.histogram"},
-            step=("LANES", "COUNTED_STRIP"),
-            group="COUNTERS",
-        ),
-        Kernel(
             "find_median",
             "once",
-            {"histogram": "network_input.histogram"},
-            {"histogram": "network_input.histogram", "median_depth": "network_input.median_depth"},
+            {"depth": "frame.depth"},
+            {"median_depth": "network_input.median_depth"},
             group="SCANNERS",
         ),
         Kernel(
@@ -80,6 +61,5 @@ class NetworkInput(Stage):
         """Fill `frames`. After a reset there is no input."""
         if step.previous is None or (self.board.stages[ShadingTrend.name].is_still and not self._looked_at):
             return
-        self.launch("depth_histogram", step)
-        self.launch("find_median")
+        self.launch("find_median", step)
         self.launch("network_input", step)

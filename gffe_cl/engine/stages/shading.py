@@ -1,17 +1,12 @@
-"""Inputs of the shading correction network, and the mask it learns (paper: 'Shading Correction Network')."""
+"""Inputs of the shading correction network (paper: 'Shading Correction Network')."""
 
 from __future__ import annotations
 
 import numpy as np
-import pyopencl as cl
 
-from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
-
-_CONSTANTS = constants("shading.cl")
-FOCUS_SMAPE, SMAPE_EPSILON = _CONSTANTS["FOCUS_SMAPE"], _CONSTANTS["SMAPE_EPSILON"]
 
 # Inputs of kernels that look up the previous rendered frame at pixels of the new one (warped_previous.h).
 SEEN = {
@@ -67,29 +62,3 @@ class ShadingInputs(Stage):
         if not self.is_looked_at:
             return
         self.launch("prepare_inputs", step)
-
-
-class FocusMask(Stage):
-    """Mask of wrong shading, by ground truth: for training and measuring, not part of the pipeline."""
-
-    name = "shading"
-    buffers = (
-        BufferSpec(
-            "focus_truth", np.uint8, (), "target", "static, and unlike the truth around (M_focus: SMAPE > 0.5)", "mask"
-        ),
-    )
-    kernels = (
-        Kernel(
-            "focus_mask",
-            "target",
-            {"color": "frame.color", "truth": "frame.color", "is_dynamic": "frame.dynamic"},
-            {"focus_truth": "shading.focus_truth"},
-        ),
-    )
-    registered = False
-
-    def make(self, truth: cl.Buffer, exposure: float) -> None:
-        """Fill the mask of the extrapolated frame on the board, before shading correction; `truth`: half ×4, linear
-        RGB; `exposure`: the sequence's."""
-        width, height = self.sizes.target
-        self.launch("focus_mask", truth=truth, target_width=width, target_height=height, exposure=exposure)

@@ -52,25 +52,14 @@ class ShadingTrend(Stage):
             step=("LANES", 1),
         ),
         Kernel(
-            "find_change",
-            "cells",
-            {"changed_samples": "shading_trend.changed_samples", "changed": "shading_trend.changed"},
-            {"changed": "shading_trend.changed"},
-            step=("TILE", "TILE"),
-        ),
-        Kernel(
-            "blur_rows",
-            "cells",
-            {"changes": "shading_trend.changes"},
-            {"blurred": "shading_trend.blurred"},
-            step=("LANES", 1),
-            repeats="planes",
-        ),
-        Kernel(
             "find_trend",
             "cells",
-            {"blurred": "shading_trend.blurred"},
-            {"trend": "shading_trend.trend"},
+            {
+                "changes": "shading_trend.changes",
+                "changed_samples": "shading_trend.changed_samples",
+                "changed": "shading_trend.changed",
+            },
+            {"trend": "shading_trend.trend", "changed": "shading_trend.changed"},
             step=("LANES", 1),
         ),
         Kernel(
@@ -96,9 +85,6 @@ class ShadingTrend(Stage):
             " noise from t − 1 on",
         ),
         BufferSpec("changed", np.int32, (), "once", "1 where enough do, else there is nothing to correct", mapped=True),
-        BufferSpec(
-            "blurred", np.float32, (), "cells", "the same, blurred along rows", planes=_CHANGES, scratch=True
-        ),
         BufferSpec(
             "trend", np.float32, (), "cells", "mean change of encoded color around, from t − 1 to t (1–3), and"
             " valid share of the surroundings (4)", planes=_CHANGES, kept=True,
@@ -139,12 +125,10 @@ class ShadingTrend(Stage):
             self.fill("changes", 0)
             return
         self.launch("measure_changes", step)
-        self.launch("find_change", step)
+        self.launch("find_trend", step)
         options = self.board.options
         if self.host_decides and options.corrects_shading and options.focus_mask:
             self.board.commands.call(self._open)
-        self.launch("blur_rows", step, planes=_CHANGES)
-        self.launch("find_trend", step)
 
     def _close(self) -> None:
         self._known = []
@@ -159,6 +143,6 @@ class ShadingTrend(Stage):
             self.launch("carry_trends", step)
 
 
-def reach_of(height: int) -> int:
-    """Return how many cells around one count, in an image of so many rows: at least one."""
-    return max(1, height // _CONSTANTS["TREND_REACH_SHARE"])
+def spacing_of(height: int) -> int:
+    """Return the distance between the cells around one that count, in an image of so many rows: at least one."""
+    return max(1, height // _CONSTANTS["SPACING_SHARE"])

@@ -7,14 +7,14 @@ import numpy as np
 from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, BufferSpec
 
-_MIXED = BufferSpec(
-    "mixed", np.uint8, (), "target",
-    "1 where the fragment's color was mixed with a silhouette's that moves away, and its neighbor's is shown", "mask",
-    transient=True,
-)  # fmt: skip
 _OPEN = BufferSpec(
-    "open", np.uint32, (), "list_target", "how many pixels are holes or mixed, then their indices, plus 2^31 if mixed",
-    scratch=True, transient=True,
+    "open", np.uint32, (), "list_target", "how many pixels are holes, then their indices", scratch=True, transient=True,
+)  # fmt: skip
+_LINES = BufferSpec(
+    "border_lines", np.float32, (), "cells",
+    "structure tensor of the color code, xx, xy and yy, in cells at the rendered image's border; 0 elsewhere; while"
+    " the camera stays, an older one",
+    planes=3,
 )  # fmt: skip
 _KEYS = {name: f"warp.{name}" for name in ("keys", "winners")}
 NEW_FRAME = {
@@ -67,13 +67,13 @@ class Warp(NearestStage):
                 "sharpness": "sharpness.sharpness",
             }
             | _KEYS,
-            _KEYS | NEW_FRAME | {"mixed": "warp.mixed", "open": "warp.open"},
+            NEW_FRAME | {"open": "warp.open", "border_lines": "warp.border_lines"},
             step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
-        self.buffers = (_MIXED, _OPEN, *self.keys(board, "", "target", transient=True))
+        self.buffers = (_OPEN, _LINES, *self.keys(board, "", "target", transient=True))
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:

@@ -13,9 +13,10 @@ from numpy.typing import ArrayLike
 from gffe_cl.engine.core.errors import how_to_install, require_packages
 from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure
 from gffe_cl.engine.frame.transfer_function import to_display as to_display  # inputs of metrics
-from gffe_cl.engine.stages.shading import FOCUS_SMAPE, SMAPE_EPSILON
 
 PSNR_CAP = 100.0  # dB
+FOCUS_SMAPE = 0.5  # the paper's: errors above this are the shading correction network's business
+SMAPE_EPSILON = np.float32(0.01)  # the paper's: keeps black pixels from counting fully
 FOCUS = "focus"  # the region where shading is wrong without shading correction
 _HALF_MAX = 65504.0
 _SSIM_WINDOW = 7  # scikit-image's default
@@ -75,10 +76,6 @@ class Metric:
         """Return the metric over all pixels, or those where `mask` (H, W) is not 0; NaN if there are none."""
         total, count = _sum_over(self.map(shown, truth), mask)
         return self.of_mean(total / count) if count else float("nan")
-
-    def gain(self, before: float, after: float) -> float:
-        """Return how much better `after` is than `before`."""
-        return after - before if self.higher_is_better else before - after
 
     def missing(self) -> str | None:
         """Return None if the metric is available, else a sentence that names the package to install."""
@@ -206,7 +203,7 @@ def smape(a, b, exposure: float = 1.0) -> np.ndarray:
 def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:
     """Return (H, W) bool: not `dynamic`, and SMAPE > 0.5 against each of the 3×3 pixels of the truth around (M_focus).
 
-    `color` and `truth` are linear (H, W, 3). kernels/shading.cl computes the same on devices.
+    `color` and `truth` are linear (H, W, 3).
     """
     factor = np.float32(require_exposure(exposure))
     shown, true = (_finite(image) * factor for image in (color, truth))

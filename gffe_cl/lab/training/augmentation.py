@@ -7,7 +7,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.shading_trend import TREND_PLANES, reach_of
+from gffe_cl.engine.stages.shading_trend import TREND_PLANES, spacing_of
 from gffe_cl.lab.training.clips import CROP
 from gffe_cl.lab.training.crops import DYNAMIC, Batch
 from gffe_cl.lab.training.images import halve
@@ -220,9 +220,10 @@ def low_pass(changes: Tensor, known: Tensor, heights: Tensor | None = None) -> T
     size = [-(-side // 2) for side in changes.shape[-2:]]
     cells = functional.avg_pool2d(torch.cat((changes * known, known), 1), _CELL // 2, ceil_mode=True)
     if heights is not None:
-        reach = torch.tensor([reach_of(int(height)) + 1.0 for height in heights.tolist()]).view(-1, 1, 1, 1)
-        across, along = (torch.arange(side, dtype=changes.dtype) for side in cells.shape[-2:])
-        weights = [(1 - (x[:, None] - x[None]).abs() / reach).clamp(min=0) / reach for x in (across, along)]
+        spacing = torch.tensor([spacing_of(int(height)) for height in heights.tolist()]).view(-1, 1, 1, 1)
+        across, along = (torch.arange(side) for side in cells.shape[-2:])
+        apart = [(x[:, None] - x[None]).abs() for x in (across, along)]
+        weights = [(3 - d / spacing).clamp(min=0) / 9 * (d % spacing == 0) for d in apart]
         cells = weights[0] @ cells @ weights[1]
     mean = cells[:, :-1] / cells[:, -1:].clamp(min=_LEAST_SHARE)
     scaled = functional.interpolate(mean, scale_factor=_CELL // 4, mode="bilinear", align_corners=False)

@@ -29,10 +29,8 @@ _SEEN = 16  # channels from the frames themselves, at a quarter
 _JUDGED = 4  # channels of the judgement before the detail
 _DOUBT = 0.1
 _TEXTURE, _TEXTURE_CHANGE, _FAINT = 1.25, 2.5, 1e-5  # of detail that both frames have: as in the kernels
-_DISOCCLUDED_BELOW = 0.4  # mean input mask of four pixels
 _MARGIN = 2.0  # how much farther than it changed light may go on
 _TRUSTED, _DISTRUST = 3.0, 4.0  # the focus mask: by the squared difference of two intervals' changes to that of one
-_FLOW_UNIT = 4.0  # pixels of a quarter of the resolution
 _LITTLE = 1e-4  # squared change of encoded color
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
@@ -169,9 +167,8 @@ class ShadingCorrectionNetwork(nn.Module):
         time = alpha.view(-1, 1, 1, 1)
         found, held, trusted, candidates = find_candidates(halve(frames[:, :6]), trends, time)
         judgement = self.convolutions(frames, candidates).float()
-        own, follow, lasts, detail = judgement.split((2, 1, 1, JUDGEMENT_PLANES - _JUDGED), 1)
-        own = _FLOW_UNIT * own
-        flow = own + torch.sigmoid(follow) * (time * found - own)
+        _, follow, lasts, detail = judgement.split((2, 1, 1, JUDGEMENT_PLANES - _JUDGED), 1)
+        flow = torch.sigmoid(follow) * (time * found)
         moved = moved_light(now, before, 2.0 * double(flow))
         trend = double(trends[:, :3]) * double((held + lasts).clamp(0, 1))
         detail = functional.leaky_relu(functional.pixel_shuffle(detail, 2), _SLOPE)
@@ -179,8 +176,7 @@ class ShadingCorrectionNetwork(nn.Module):
         delta = said[:, :3] + moved + said[:, 5:6] * trend
         keep, likely = torch.sigmoid(said[:, 3:4]), said[:, 4:5]
         keep = keep + (1 - keep) * double(find_texture(now, before))
-        shown = frames[:, 7:8] >= _DISOCCLUDED_BELOW
-        mask = (2 * likely - _DOUBT).clamp(0, 1) * shown * double(trusted)
+        mask = (2 * likely - _DOUBT).clamp(0, 1) * double(trusted)
         correction = torch.cat((delta, keep, mask), 1)
         return (correction, likely) if self.training else correction
 

@@ -38,6 +38,7 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import Owner, spread
 from gffe_cl.engine.stages.holes import Downsampled, FarSide
+from gffe_cl.engine.stages.warp import Warp
 
 W, H = 83, 61
 RGBA, HALF = cl.channel_order.RGBA, cl.channel_type.HALF_FLOAT
@@ -567,10 +568,10 @@ def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
     """Numbers that change with the image or the frame belong into the frame block, which C fills, too."""
 
     def other(self, step):
-        self.launch("fill_from_downsampled", step, after_far_side=self.sizes.target[0] // 9)
+        self.launch("resolve", step, unfilled_label=self.sizes.target[0] // 9)
 
-    monkeypatch.setattr(FarSide, "extrapolated", other)
-    complaint = r"kernels/holes.cl, fill_from_downsampled: argument 'after_far_side' depends on"
+    monkeypatch.setattr(Warp, "extrapolated", other)
+    complaint = r"kernels/warp.cl, resolve: argument 'unfilled_label' depends on"
     with pytest.raises(GffeError, match=complaint):
         record(device, DEFAULT, True)
 

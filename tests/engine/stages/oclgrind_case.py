@@ -23,7 +23,6 @@ from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.shading import FocusMask
 from gffe_cl.engine.stages.upload import Upload
 
 WIDTH, HEIGHT = 64, 48
@@ -64,7 +63,6 @@ def shading(device):
     """What surrounds the shading correction network, on images of odd sizes, with output made up."""
     for size in ((37, 21), (1, 1)):
         board, correction, step = made_stages(device, size, 0.5)
-        focus = FocusMask(correction.board)
         shape = correction.spec("judgement").shape(correction.sizes)
         judgement = np.random.default_rng(0).normal(0, 1, shape).astype(np.float32)
         for name in ("shading", "network_input", "shading_flow"):
@@ -76,8 +74,6 @@ def shading(device):
             correction.with_refined = within_mask
             correction.compose(step, within_mask)
         correction.skip()
-        focus.make(correction.buffer["color"], 0.5)
-        focus.read("focus_truth")
 
 
 def convolutions(device):

@@ -56,10 +56,11 @@ def test_kernels_equal_their_twins(case):
     assert (expected[0]["state"] == REMEMBERED).any()
     assert (expected[0]["state"] == EDGE).any() == single
 
-    past, unmixed = case.past, twins.unmixed(case.past.depth, case.before.dynamic)
-    before = (past.color, past.depth, unmixed, reprojection(case.to, past.camera))
     warped = case.after("hidden_parts")
-    warped |= twins.project_background(warped, found, case.zoom, case.to_target, case.to_source, before)
+    warped |= twins.project_background(warped, found, case.zoom, case.to_target, case.to_source)
+    if case.options.hole_filling == "far-side":
+        before = case.past.color, case.past.depth, reprojection(case.to, case.past.camera)
+        warped |= {"color": twins.mix_far_side(warped, before)}
     left = case.after("background")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
     smaller = warped["depth"].size < depth.size  # there cracks are closed over the few pixels that movers uncover
@@ -83,9 +84,8 @@ def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
     holes = out.numpy("disoccluded") == 1
     assert (holes & wall).sum() > 30 and (out.numpy("filled_by")[holes & wall] == 1).all()
     error = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32)).max(-1)
-    mixed = pipeline.stages["warp"].read("mixed") == 1
-    assert (error[wall & ~mixed] < 0.01).all(), (error[wall & ~mixed] >= 0.01).sum()
-    assert (error[wall & mixed] < 0.05).all(), error[wall & mixed].max()
+    assert (error[wall & holes] < 0.01).all(), error[wall & holes].max()
+    assert (error[wall] < 0.05).all(), error[wall].max()  # beside the square colors are a pixel off
 
 
 @pytest.mark.parametrize(("levels", "speed"), [(1, 0.0), (1, -1.5), (2, 0.0), (2, -1.5)])
@@ -104,7 +104,7 @@ def test_wall_behind_a_fence(device, levels, speed):
     error = np.abs(out.numpy("color").astype(np.float32) - truth.color.astype(np.float32))[holes].mean()
     filled_by = out.numpy("filled_by")[holes]
     if speed:
-        assert error < 0.04 and (filled_by == 1).mean() > 0.9, (error, (filled_by == 1).mean())
+        assert error < 0.05 and (filled_by == 1).mean() > 0.9, (error, (filled_by == 1).mean())
     else:
         assert (filled_by == 2).mean() > 0.9 if levels > 1 else not np.isin(filled_by, (1, 2)).any()
 

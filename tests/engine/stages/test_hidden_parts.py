@@ -38,9 +38,7 @@ def test_kernel_equals_its_twin(case):
     tracked = [case.read(*name) for name in (("history", "dynamic_mask"), ("connectivity", "links"))]
     tracked.append(case.read("history", "met_depth"))
     target_position = case.read("prediction", "target_position")
-    warped |= twins.show_reappearing(
-        warped, case.now, case.past, tracked, target_position, case.zoom, case.from_previous, reach
-    )
+    warped |= twins.show_reappearing(warped, case.now, case.past, tracked, target_position, case.zoom, reach)
     left = case.after("hidden_parts")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
     assert np.array_equal(left["dynamic"], warped["dynamic"])

@@ -5,7 +5,7 @@ import pytest
 import twins
 from moving_scene import MOVING, WALL, H, W, dolly, submit
 from synthetic import Rect, Rects, camera
-from twin_cases import assert_close, frames
+from twin_cases import frames
 
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.outputs import Output
@@ -13,44 +13,43 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.frame_block import reprojection
 
 
+def filled_holes(pipeline, warped, frame, to_source):
+    """Return what the twin makes of holes. Lines at the border, or sums of blocks, are the twin's; sums are float32 on
+    the device and float64 in the twin."""
+    stage, source = pipeline.stages["holes"], (twins.load_color(frame.color), frame.depth)
+    if stage.reach:
+        lines = pipeline.stages["warp"].read("border_lines")
+        expected = twins.border_lines(pipeline.stages["color_code"].read("codes")[..., :3])
+        np.testing.assert_allclose(lines, expected, rtol=1e-4, atol=1e-6 * np.abs(lines).max())
+        assert (lines[0] > 0).sum() > 10
+        return twins.fill_far_side(warped, stage.reach, to_source, *source, lines)
+    sums = twins.downsample(warped, frame.color, frame.depth)
+    np.testing.assert_allclose(stage.read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(stage.read("downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
+    return twins.fill_from_downsampled(warped, *sums, to_source)
+
+
+def assert_filled(got, filled, holes):
+    for name in ("color", "depth", "motion"):
+        assert got[name][~holes].tobytes() == filled[name][~holes].tobytes()
+        np.testing.assert_allclose(
+            got[name][holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
+        )
+
+
 def test_kernels_equal_their_twins(case):
-    """Mixed fills of the background, block sums, and filled pixels, whose sums are float32 on the device and float64 in
-    the twin."""
+    """Lines at the border, block sums, and filled pixels."""
     warped = case.after("background" if case.options.levels else "hidden_parts")
-    color, depth = case.now.color, case.now.depth
-    source = twins.load_color(color), depth
     holes = warped["filled_by"] == twins.COMMON.BY_NOTHING
     assert np.array_equal(case.made.numpy("filled_by") == twins.COMMON.BY_HOLE_FILLING, holes)
-    if case.options.levels and case.options.hole_filling == "far-side":
-        before = case.past.color, case.past.depth, reprojection(case.to, case.past.camera)
-        mixed = twins.mix_far_side(warped, before)
-        changed = np.abs(twins.load_color(mixed) - twins.load_color(warped["color"])).max()
-        assert changed > 5e-4 or case.options.levels == 1
-        warped |= {"color": mixed}
-    lines, reach = None, case.pipeline.stages["holes"].reach
-    if reach:
-        lines = case.read("holes", "border_lines")
-        codes = case.read("color_code", "codes")[..., :3]
-        np.testing.assert_allclose(lines, twins.border_lines(codes), rtol=1e-4, atol=1e-6 * np.abs(lines).max())
-        assert (lines[0] > 0).sum() > 10
-    surfaces = twins.continued_surfaces(warped, reach, case.to_source, *source, lines)
-    asked = twins.asked_texels(warped, surfaces)
-    sums = tuple((array.T * asked.T).T for array in twins.downsample(warped, color, depth))
-    np.testing.assert_allclose(case.read("holes", "downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(case.read("holes", "downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
-    filled = twins.fill_holes(warped, *sums, case.to_source, reach, source[0], surfaces)
-    left = case.after("holes")
-    for name in ("color", "depth", "motion"):
-        assert_close(left[name][~holes], filled[name][~holes])
-        np.testing.assert_allclose(
-            left[name][holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
-        )
+    filled = filled_holes(case.pipeline, warped, case.now, case.to_source)
+    assert_filled(case.after("holes"), filled, holes)
 
 
 @pytest.mark.long
 @pytest.mark.parametrize("filling", ["far-side", "downsample"])
-def test_block_means_reach_over_work_groups(device, filling):
-    """A large hole on an image larger than what one work-group fills: labels stay, sums and fills are the twin's."""
+def test_large_holes(device, filling):
+    """Wider than the reach: labels stay, and fills are the twin's."""
     width, height = 301, 70
     pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False))
     past, frame = frames(width, height, count=2, spoil=False)
@@ -63,29 +62,11 @@ def test_block_means_reach_over_work_groups(device, filling):
     kept = next(owner for owner, _ in pipeline.named_buffers() if isinstance(owner, Output))
     left = {name: kept.read(name) for name in names}
     holes = left["filled_by"] == twins.COMMON.BY_HOLE_FILLING
-    unfilled = np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])
-    before = left | {"filled_by": unfilled, "dynamic": pipeline.board.frame.read("dynamic")}
-    if filling == "far-side":
-        disoccluded = {"disoccluded": pipeline.board.frame.read("disoccluded")}
-        last = past.color, past.depth, reprojection(to, past.camera)
-        before |= {"color": twins.mix_far_side(before | disoccluded, last)}
-    stage = pipeline.stages["holes"]
-    to_source = reprojection(to, frame.camera)
-    source = (twins.load_color(frame.color), frame.depth)
-    lines = stage.read("border_lines") if stage.reach else None
-    surfaces = twins.continued_surfaces(before, stage.reach, to_source, *source, lines)
-    asked = twins.asked_texels(before, surfaces)
-    assert holes.mean() > 0.1 and 5 < asked.sum() < asked.size
-    sums = tuple((array.T * asked.T).T for array in twins.downsample(before, frame.color, frame.depth))
-    np.testing.assert_allclose(stage.read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
-    filled = twins.fill_holes(before, *sums, to_source, stage.reach, source[0], surfaces)
-    for name in ("color", "depth", "motion"):
-        got = pipeline.board.frame.read(name)
-        assert got[~holes].tobytes() == left[name][~holes].tobytes() or (name == "color" and filling == "far-side")
-        assert_close(got[~holes], filled[name][~holes])
-        np.testing.assert_allclose(
-            got[holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
-        )
+    assert holes[:, -60:].mean() > 0.9
+    left |= {"filled_by": np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])}
+    left |= {"dynamic": pipeline.board.frame.read("dynamic")}
+    filled = filled_holes(pipeline, left, frame, reprojection(to, frame.camera))
+    assert_filled({name: pipeline.board.frame.read(name) for name in names}, filled, holes)
 
 
 def test_holes_are_filled_with_surroundings(device):

@@ -44,19 +44,20 @@ def test_network_input_equals_its_twin(device, size, exposure):
 @pytest.mark.parametrize(
     ("depth", "expected"),
     [
-        (np.full((40, 50), np.inf), 1.0),
-        (np.full((40, 50), 2.0), 2.0),
-        (np.r_[np.full(1000, 3.0), np.full(999, 90.0), np.inf].reshape(40, 50), 3.0),
-        (np.r_[np.full(999, 3.0), np.full(1000, 90.0), np.inf].reshape(40, 50), 90.0),
-        (np.r_[np.full(1999, np.nan), 1e30].reshape(40, 50), 1e30),
-        (np.r_[np.full(1998, -1.0), 1e-30, 1e-39].reshape(40, 50), 1e-39),
+        (np.full(2304, np.inf), 1.0),
+        (np.full(2304, 2.0), 2.0),
+        (np.r_[np.full(1152, 3.0), np.full(1151, 90.0), np.inf], 3.0),
+        (np.r_[np.full(1151, 3.0), np.full(1152, 90.0), np.inf], 90.0),
+        (np.r_[np.full(2303, np.nan), 1e30], 1e30),
+        (np.r_[np.full(2302, -1.0), 1e-30, 1e-39], 1e-39),
     ],
 )
 def test_median_depth(device, depth, expected):
-    board, _, step = made_stages(device, (50, 320))
+    board, _, step = made_stages(device, (128, 108))
     stage = board.stages["network_input"]
-    depth = np.stack([depth, *[np.full_like(depth, 7.0)] * 7], 1).reshape(320, 50)  # every eighth row counts
-    put(board.frame, depth=depth.astype(np.float32))
+    counted, depth = depth, np.full((108, 128), 7.0, np.float32)
+    depth[1::3, 1::2] = counted.reshape(36, 64)  # only these count
+    put(board.frame, depth=depth)
     stage.extrapolated(step)
     assert stage.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
-    assert stage.read("median_depth") == twins.depth_median(depth.astype(np.float32))
+    assert stage.read("median_depth") == twins.depth_median(depth)

@@ -37,12 +37,11 @@ def test_the_flow_of_a_moved_pattern_is_found(device):
 
 
 def test_a_flow_is_followed_where_it_explains_the_last_interval(device):
-    """Not where something moves, where depth has an edge, where the flow explains nothing, nor in a still frame."""
+    """Not where depth has an edge, where the flow explains nothing, nor in a still frame."""
     board, _, step = made_stages(device, (512, 192))
     frames = moving_frames(board.sizes.of("network"), np.random.default_rng(0))
     frames[6:] = 0.5
     frames[6, :, 100:] = 1.0
-    frames[7, :, 180:] = 1.0
     stage, trends = board.stages["shading_flow"], board.stages["shading_trend"]
     board.stages["network_input"].upload("frames", frames)
     trends.upload("changed", np.ones(1, np.int32))
@@ -50,7 +49,7 @@ def test_a_flow_is_followed_where_it_explains_the_last_interval(device):
     followed = stage.read("followed")
     assert followed.tobytes() == twins.find_followed(frames, stage.read("flow2")).tobytes()
     assert followed[4:20, 8:48].mean() > 0.9 and followed[4:20, 52:88].mean() > 0.9
-    assert not followed[:, 49:51].any() and not followed[:, 90:].any()
+    assert not followed[:, 49:51].any()
     trends.upload("changed", np.zeros(1, np.int32))
     stage.extrapolated(step)
     assert not stage.read("followed").any()

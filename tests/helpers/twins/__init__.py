@@ -7,14 +7,23 @@ One module per stage.
 """
 
 from twins.acceleration import track_acceleration
-from twins.background import EDGE, REMEMBERED, SHOWN, collect_levels, collect_shown, project_background, shown_state
+from twins.background import (
+    EDGE,
+    REMEMBERED,
+    SHOWN,
+    collect_levels,
+    collect_shown,
+    mix_far_side,
+    project_background,
+    shown_state,
+)
 from twins.common import COMMON, centers, move, unproject
 from twins.composition import compose
 from twins.convolutions import judge_with
 from twins.correction import choose_flow, correct, follow_flow, judge
 from twins.hidden_parts import fill_hidden_parts, show_reappearing
 from twins.history import EXACT, last_stir, residual_histogram, static_threshold, track_history
-from twins.holes import asked_texels, border_lines, continued_surfaces, downsample, fill_holes, mix_far_side
+from twins.holes import border_lines, downsample, fill_far_side, fill_from_downsampled
 from twins.network_input import decode, depth_median, encode, network_input
 from twins.prediction import entering_depth, predict_positions
 from twins.presentation import present
@@ -39,7 +48,6 @@ __all__ = [
     "EXACT",
     "REMEMBERED",
     "SHOWN",
-    "asked_texels",
     "block_classes",
     "border_lines",
     "carry_trends",
@@ -48,7 +56,6 @@ __all__ = [
     "collect_levels",
     "collect_shown",
     "compose",
-    "continued_surfaces",
     "convert_color",
     "convert_described_color",
     "convert_described_geometry",
@@ -59,8 +66,9 @@ __all__ = [
     "downsample",
     "encode",
     "entering_depth",
+    "fill_far_side",
+    "fill_from_downsampled",
     "fill_hidden_parts",
-    "fill_holes",
     "find_candidates",
     "find_change",
     "find_followed",

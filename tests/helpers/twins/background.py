@@ -1,9 +1,11 @@
 """Twin of background.cl."""
 
+import itertools
+
 import numpy as np
 
-from twins.common import COMMON, INF, F, centers, decode_color, invalid, kernel_constants, reproject
-from twins.holes import is_outside, shown_before, static_motion
+from twins.common import COMMON, INF, F, centers, decode_color, encode_color, invalid, kernel_constants, reproject
+from twins.holes import DIRECTIONS, is_outside, march, static_motion
 from twins.warp import _STEPS, _shifted, load_code, load_color, unmixed
 
 BACKGROUND = kernel_constants("background.cl")
@@ -139,9 +141,9 @@ def collect_levels(levels_before, level0, depth, dynamic, links, to_current):
     return levels
 
 
-def project_background(warped, levels, zoom, to_target, to_source, before):
-    """Return color, depth, motion and filled_by of the warped frame after background projection; levels as for
-    `collect_levels`; `before`: the arguments of `shown_before` from color_prev on."""
+def project_background(warped, levels, zoom, to_target, to_source):
+    """Return color, depth, motion and filled_by of the warped frame after background projection, without the far side;
+    levels as for `collect_levels`."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     height, width = warped["depth"].shape
     holes = warped["disoccluded"] > 0
@@ -163,9 +165,7 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
             y0, y1 = max(int(np.ceil(y - half[1] - F(0.5))), 0), min(int(np.floor(y + half[1] - F(0.5))), height - 1)
             key = (z, number, ty * wide + tx)
             for cell in ((cy, cx) for cy in range(y0, y1 + 1) for cx in range(x0, x1 + 1)):
-                shown = warped["depth"][cell]
-                alike = np.isinf(z) if np.isinf(shown) else abs(z - shown) <= BACKGROUND.SAME_LEVEL * shown
-                if holes[cell] or (warped["mixed"][cell] and alike):
+                if holes[cell]:
                     best[cell] = min(best.get(cell, (INF, 99, 0)), key)
     px = centers(height, width)
 
@@ -184,32 +184,98 @@ def project_background(warped, levels, zoom, to_target, to_source, before):
         winner = level["depth"][ty, tx]
         nearer = F(1) if np.isinf(z) else winner / z
         sides = [F(1 << number) * nearer * zoom[k] for k in range(2)]
-        for reach in (1, 2):
-            total, weights = np.zeros(3, F), F(0)
-            for ny in range(max(ty - reach, 0), min(ty + reach + 1, level_height)):
-                for nx in range(max(tx - reach, 0), min(tx + reach + 1, level_width)):
-                    state = level["state"][ny, nx]
-                    if state == SHOWN and of_one_surface(current["depth"][ny, nx], winner):
-                        at, tap = there_shown[ny, nx], current["color"][ny, nx]
-                    elif state == REMEMBERED and of_one_surface(level["depth"][ny, nx], winner):
-                        at, tap = there[number][ny, nx], level["color"][ny, nx]
-                    else:
-                        continue
-                    if not at[2] > 0:
-                        continue
-                    wx, wy = (F(1) - abs(at[k] - px[y, x, k]) * (F(1) / (sides[k] * F(reach))) for k in range(2))
-                    if wx > 0 and wy > 0:
-                        total = total + wx * wy * load_code(tap)
-                        weights = weights + wx * wy
-            if weights >= BACKGROUND.ENOUGH_WEIGHT:
-                break
+        total, weights = np.zeros(3, F), F(0)
+        for ny in range(max(ty - 1, 0), min(ty + 2, level_height)):
+            for nx in range(max(tx - 1, 0), min(tx + 2, level_width)):
+                state = level["state"][ny, nx]
+                if state == SHOWN and of_one_surface(current["depth"][ny, nx], winner):
+                    at, tap = there_shown[ny, nx], current["color"][ny, nx]
+                elif state == REMEMBERED and of_one_surface(level["depth"][ny, nx], winner):
+                    at, tap = there[number][ny, nx], level["color"][ny, nx]
+                else:
+                    continue
+                if not at[2] > 0:
+                    continue
+                wx, wy = (F(1) - abs(at[k] - px[y, x, k]) * (F(1) / sides[k]) for k in range(2))
+                if wx > 0 and wy > 0:
+                    total = total + wx * wy * load_code(tap)
+                    weights = weights + wx * wy
         found = total / weights if weights > F(0.01) else load_code(level["color"][ty, tx])
-        sharp = shown_before(px[y, x], z, *before)
-        found = found if sharp is None else sharp
-        found = found if holes[y, x] else F(0.5) * (found + load_code(warped["color"][y, x]))
         out["color"][y, x, :3] = decode_color(found)
         out["filled_by"][y, x] = 1 + number
-        if holes[y, x]:
-            out["depth"][y, x] = z
-            out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
+        out["depth"][y, x] = z
+        out["motion"][y, x] = static_motion(px[y, x][None], np.array([z], F), to_source)[0]
     return out
+
+
+def _shown_before(px, z, color_prev, depth_prev, to_previous):
+    """Return the code of the color of a static point in the frame before, or None."""
+    height, width = depth_prev.shape
+    x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
+    if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5):
+        return None
+    x0, y0 = int(x - F(0.5)), int(y - F(0.5))
+    u, v = x - F(0.5) - F(x0), y - F(0.5) - F(y0)
+    found = np.zeros(3, F)
+    for tap in range(4):
+        at = y0 + (tap >> 1), x0 + (tap & 1)
+        d = depth_prev[at]
+        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * BACKGROUND.SAME_LEVEL * z_prev):
+            return None
+        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+        found = found + weight * load_code(color_prev[at])
+    return found
+
+
+def _change_around(q, d, warped, before):
+    """Return (code in the frame before, squared change since), or None, of what lies in direction d beyond the edge (y,
+    x) of a hole."""
+    y, x = q[0] + BACKGROUND.BEYOND_EDGE * d[1], q[1] + BACKGROUND.BEYOND_EDGE * d[0]
+    depth = warped["depth"]
+    if not (0 <= y < depth.shape[0] and 0 <= x < depth.shape[1]) or warped["disoccluded"][y, x]:
+        return None
+    with np.errstate(divide="ignore"):
+        here, edge = F(1) / depth[y, x], F(1) / depth[q]
+    if here > edge * BACKGROUND.FAR_SIDE or edge > here * BACKGROUND.FAR_SIDE:
+        return None
+    shown = _shown_before(np.array([x + 0.5, y + 0.5], F), depth[y, x], *before)
+    return None if shown is None else (shown, ((load_code(warped["color"][y, x]) - shown) ** 2).sum())
+
+
+def _staleness(remembered, changes):
+    """Return how far the code of a remembered color is out of date, 0 to 1, at exposure 1; `changes`: those
+    known of `_change_around`."""
+    if not changes:
+        return F(0)
+    shown, change = (np.mean(part, axis=0) for part in zip(*changes, strict=True))
+    contrast = ((remembered - shown) ** 2).sum()
+    return change / (change + BACKGROUND.CONTRAST_COUNTS * contrast + 3 * BACKGROUND.LEAST_CHANGE)
+
+
+def mix_far_side(warped, before):
+    """Return color of the frame as the background left it, its fills mixed with the far side; `before`: color and depth
+    of the frame before, and the reprojection into it."""
+    color, shown = warped["color"].copy(), load_color(warped["color"])
+    hole = warped["disoccluded"] != 0
+    others = COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING
+    remembered = hole & ~np.isin(warped["filled_by"], others)
+    with np.errstate(divide="ignore"):
+        inverse = F(1) / warped["depth"]
+    for y, x in np.argwhere(remembered):
+        met = []
+        for d in DIRECTIONS:
+            found = (m for m in march(y, x, d, BACKGROUND.MIXED_REACH, hole.shape) if not hole[m[1]])
+            met += [(F(1) / distance, q, d) for distance, q in itertools.islice(found, 1)]
+        least = min((inverse[q] for _, q, _ in met), default=F(0))
+        far = [m for m in met if inverse[m[1]] <= least * BACKGROUND.FAR_SIDE]
+        if not far:
+            continue
+        weights = np.array([closeness for closeness, *_ in far], F)
+        colors = np.array([shown[q] for _, q, _ in far])
+        mean = decode_color(np.average(encode_color(colors), axis=0, weights=weights))
+        counts = BACKGROUND.FAR_COUNTS * weights.max()
+        code = encode_color(shown[y, x])
+        stale = _staleness(code, [c for _, q, d in far if (c := _change_around(q, d, warped, before))])
+        total = (1 - stale) * code + (stale + counts) * encode_color(mean)
+        color[y, x, :3] = decode_color(total / (1 + counts))
+    return color

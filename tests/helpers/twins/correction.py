@@ -23,13 +23,12 @@ def sigmoid(x):
 def choose_flow(judgement, candidates, differences, alpha):
     """Return (4, h, w) of a quarter of the resolution: the flow that is followed, how far the trend lasts, and how far
     the focus mask is trusted."""
-    found = F(alpha) * (CANDIDATES.FOUND_UNIT * candidates[CANDIDATES.FOUND : CANDIDATES.FOUND + 2])
-    own = CORRECTION.FLOW_UNIT * judgement[:2]
+    follow = F(2) * CANDIDATES.FOUND_UNIT * F(alpha) * sigmoid(judgement[2])
     lasts = np.clip(candidates[CANDIDATES.HELD] + judgement[3], F(0), F(1))
     changed, _, again, again_along = (doubled(plane) for plane in differences)
     ratio = (np.minimum(again, again_along) + CANDIDATES.LEAST) / (changed + CANDIDATES.LEAST)
     trusted = np.clip(CORRECTION.TRUSTED - CORRECTION.DISTRUST * ratio, F(0), F(1))
-    return np.concatenate([F(2) * (own + sigmoid(judgement[2]) * (found - own)), lasts[None], trusted[None]])
+    return np.concatenate([follow * candidates[CANDIDATES.FOUND :][:2], lasts[None], trusted[None]])
 
 
 def judge(frames, trends, judgement, chosen, head, texture, refined=False):
@@ -57,9 +56,7 @@ def judge(frames, trends, judgement, chosen, head, texture, refined=False):
         said = said + second[:, k, None, None] * leaky(total)
     number = (flow_x - flow_x) + (flow_y - flow_y)
     delta = said[:3] + moved + said[5] * trend + number
-    mask = np.where(
-        frames[7] < CORRECTION.DISOCCLUDED_BELOW, F(0), np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
-    )
+    mask = np.clip(F(2) * said[4] - CORRECTION.DOUBT, F(0), F(1))
     keep = sigmoid(said[3])
     keep = keep + (F(1) - keep) * doubled(texture)
     made = np.concatenate([delta, keep[None], (mask * trusted)[None]])

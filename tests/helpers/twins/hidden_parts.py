@@ -3,8 +3,8 @@
 import numpy as np
 
 from twins.common import COMMON, F, centers, decode_color, kernel_constants, reproject
-from twins.holes import _DIRECTIONS, march
-from twins.warp import _STEPS, load_code
+from twins.holes import DIRECTIONS, march
+from twins.warp import _STEPS, load_code, load_color
 
 HIDDEN = kernel_constants("hidden_parts.cl")
 FRAME = kernel_constants("frame.h")
@@ -72,26 +72,19 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
             most = distance - 1
         return None
 
-    def same(a, b):
-        return abs(a - b) <= HIDDEN.ONE_OBJECT * min(a, b)
-
     for y, x in np.argwhere(holes):
         if entering and (q := entered(y, x)):
             out["color"][y, x, :3] = decode_color(load_code(warped["color"][q]))
             out["depth"][y, x], out["filled_by"][y, x] = depth[q], COMMON.BY_HIDDEN_PART
             out["motion"][y, x] = moves_along(q, y, x) - np.array([x + 0.5, y + 0.5], F)
             continue
-        met = [mover(y, x, d) for d in _DIRECTIONS]
+        met = [mover(y, x, d) for d in DIRECTIONS]
         found = [m for m in met if m]
         if not found:
             continue
         distance, of = min(found, key=lambda m: m[0])
         if distance * F(HIDDEN.BESIDE) > F(reach):
-            pairs = [(met[k], met[(k + 4) % 8]) for k in range(8) if met[k] and met[(k + 4) % 8]]
-            pairs = [a for a, b in pairs if a[0] + b[0] <= F(reach) and same(depth[a[1]], depth[b[1]])]
-            if not pairs:
-                continue
-            of = min(pairs, key=lambda m: m[0])[1]
+            continue
         z = depth[of]
         alike = [(F(1) / d, q) for d, q in found if abs(depth[q] - z) <= HIDDEN.ONE_OBJECT * z]
         total = sum(w for w, _ in alike)
@@ -103,7 +96,7 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
     return out
 
 
-def show_reappearing(shown, now, past, tracked, target_position, zoom, from_previous, reach):
+def show_reappearing(shown, now, past, tracked, target_position, zoom, reach):
     """Return color, depth, motion, dynamic and filled_by of the frame `shown` with the parts of movers that reappear.
     `now`, `past`: the rendered frame and the one before; `tracked`: dynamic mask, links, and depth met in the frame
     before."""
@@ -128,14 +121,7 @@ def show_reappearing(shown, now, past, tracked, target_position, zoom, from_prev
         if not is_inside(px):
             return False
         q = int(px[1]), int(px[0])
-        z = past.depth[q]
-        if not alike(z, of):
-            return False
-        x, y, there = reproject(at[q][None], z[None], from_previous)[0]
-        if not (there > 0 and is_inside((x, y))):
-            return True
-        q = int(y), int(x)
-        return bool(dynamic[q]) or not abs(now.depth[q] - there) <= HIDDEN.STAYS * there
+        return alike(past.depth[q], of)
 
     def place(src, dst, there):
         off = np.array([dst[1] + 0.5, dst[0] + 0.5], F) - there[:2]
@@ -175,16 +161,7 @@ def show_reappearing(shown, now, past, tracked, target_position, zoom, from_prev
     for dst, (z, src) in best.items():
         source_px = place(src, dst, target_position[src])
         px = source_px + now.motion[src]
-        corner = np.floor(px - F(0.5))
-        u, v = px - F(0.5) - corner
-        total, weights = np.zeros(3, F), F(0)
-        for tap in range(4):
-            q = int(corner[1]) + (tap >> 1), int(corner[0]) + (tap & 1)
-            if not is_inside(q[::-1]) or not alike(past.depth[q], met[src]):
-                continue
-            weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-            total, weights = total + weight * load_code(past.color[q]), weights + weight
-        out["color"][dst][:3] = decode_color(total / weights)
+        out["color"][dst][:3] = load_color(past.color[int(px[1]), int(px[0])])
         out["depth"][dst], out["dynamic"][dst], out["filled_by"][dst] = z, 1, COMMON.BY_REAPPEARING
         out["motion"][dst] = source_px - np.array([dst[1] + 0.5, dst[0] + 0.5], F)
     return out

@@ -1,7 +1,5 @@
 """Twin of holes.cl."""
 
-import itertools
-
 import numpy as np
 
 from twins.common import (
@@ -43,7 +41,7 @@ def downsample(warped, source_color, source_depth):
     return color_sum, inverse_sum
 
 
-_DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
+DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 
 
 def march(y, x, d, reach, shape):
@@ -68,14 +66,6 @@ def _border_code(at, source_color):
     rows = [encode_color(source_color[j, xs]) for j in ys]
     across = [row[0] * (1 - x % 1) + row[1] * (x % 1) for row in rows]
     return across[0] * (1 - y % 1) + across[1] * (y % 1)
-
-
-def continued(beside, at, source_color):
-    """Return the surroundings of a hole that lies out of screen, with the border of the rendered image (height, width,
-    3)."""
-    if not at[2] > 0:
-        return beside
-    return decode_color((encode_color(beside) + _border_code(at, source_color)) / 2)
 
 
 def border_lines(codes):
@@ -164,8 +154,8 @@ def surface_behind(met):
 
 
 def continued_surface(warped, y, x, reach, to_source, source_color, source_depth, lines):
-    """Return (color, inverse depth) of the surface that goes on into one hole, or None; `source_color`: (height, width,
-    3); `lines`: `border_lines`."""
+    """Return (color, inverse depth) of the surface that goes on into one hole; `source_color`: (height, width, 3);
+    `lines`: `border_lines`."""
     depth, filled_by = warped["depth"], warped["filled_by"]
 
     def is_made_up(q):
@@ -212,10 +202,13 @@ def continued_surface(warped, y, x, reach, to_source, source_color, source_depth
     def values(q):
         return np.append(load_code(warped["color"][q]), inverse(q))
 
-    marches = [march(y, x, d, reach, depth.shape) for d in _DIRECTIONS]
-    ways = [way for steps in marches if (way := [m for m in steps if filled_by[m[1]] != COMMON.BY_NOTHING])]
+    def looked(reach):
+        marches = [march(y, x, d, reach, depth.shape) for d in DIRECTIONS]
+        return [way for steps in marches if (way := [m for m in steps if filled_by[m[1]] != COMMON.BY_NOTHING])]
+
+    ways = looked(reach) or looked(sum(depth.shape))
     if not ways:
-        return None
+        return np.append(decode_color(_border_code((F(x + 0.5), F(y + 0.5)), source_color)), F(0))
     outside = [(F(1) / d, q) for d, q in (way[0] for way in ways) if is_outside(place(q), source_color)]
     if outside:
         found = mean([(w * w, values(q)) for w, q in outside])
@@ -227,108 +220,17 @@ def continued_surface(warped, y, x, reach, to_source, source_color, source_depth
     return mean(surface_behind([(inverse(q), F(1) / d, values(q), can_be_there(q)) for d, q in met]))
 
 
-def shown_before(px, z, color_prev, depth_prev, unmixed_prev, to_previous):
-    """Return the code of the color of a static point in the frame before, or None; `unmixed_prev`: pixels that count,
-    None for all."""
-    height, width = depth_prev.shape
-    x, y, z_prev = reproject(px[None], np.array([z], F), to_previous)[0]
-    if not (z_prev > 0 and 0.5 <= x < width - 0.5 and 0.5 <= y < height - 0.5) or (
-        unmixed_prev is not None and not unmixed_prev[int(y), int(x)]
-    ):
-        return None
-    x0, y0 = int(x - F(0.5)), int(y - F(0.5))
-    u, v = x - F(0.5) - F(x0), y - F(0.5) - F(y0)
-    found = np.zeros(3, F)
-    for tap in range(4):
-        at = y0 + (tap >> 1), x0 + (tap & 1)
-        d = depth_prev[at]
-        if not (np.isinf(d) if np.isinf(z_prev) else abs(d - z_prev) <= F(2) * HOLES.SAME_LEVEL * z_prev):
-            return None
-        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-        found = found + weight * load_code(color_prev[at])
-    return found
+def fill_far_side(warped, reach, to_source, source_color, source_depth, lines):
+    """Return color, depth, motion of the warped frame with its holes filled by `continued_surface`."""
+    mean, mean_inverse = np.zeros((*warped["depth"].shape, 3)), np.zeros(warped["depth"].shape)
+    for at in map(tuple, np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING)):
+        found = continued_surface(warped, *at, reach, to_source, source_color, source_depth, lines)
+        mean[at], mean_inverse[at] = found[:3], found[3]
+    return _filled(warped, mean, mean_inverse, to_source)
 
 
-def _change_around(q, d, warped, before):
-    """Return (code in the frame before, squared change since), or None, of what lies in direction d beyond the edge (y,
-    x) of a hole."""
-    y, x = q[0] + HOLES.BEYOND_EDGE * d[1], q[1] + HOLES.BEYOND_EDGE * d[0]
-    depth = warped["depth"]
-    if not (0 <= y < depth.shape[0] and 0 <= x < depth.shape[1]) or warped["disoccluded"][y, x]:
-        return None
-    with np.errstate(divide="ignore"):
-        here, edge = F(1) / depth[y, x], F(1) / depth[q]
-    if here > edge * HOLES.FAR_SIDE or edge > here * HOLES.FAR_SIDE:
-        return None
-    color_prev, depth_prev, to_previous = before
-    shown = shown_before(np.array([x + 0.5, y + 0.5], F), depth[y, x], color_prev, depth_prev, None, to_previous)
-    return None if shown is None else (shown, ((load_code(warped["color"][y, x]) - shown) ** 2).sum())
-
-
-def _staleness(remembered, changes):
-    """Return how far the code of a remembered color is out of date, 0 to 1, at exposure 1; `changes`: those
-    known of `_change_around`."""
-    if not changes:
-        return F(0)
-    shown, change = (np.mean(part, axis=0) for part in zip(*changes, strict=True))
-    contrast = ((remembered - shown) ** 2).sum()
-    return change / (change + HOLES.CONTRAST_COUNTS * contrast + 3 * HOLES.LEAST_CHANGE)
-
-
-def mix_far_side(warped, before):
-    """Return color of the frame as the background left it, its fills mixed with the far side; `before`: color and depth
-    of the frame before, and the reprojection into it."""
-    color, shown = warped["color"].copy(), load_color(warped["color"])
-    hole = warped["disoccluded"] != 0
-    others = COMMON.BY_NOTHING, COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING
-    remembered = hole & ~np.isin(warped["filled_by"], others)
-    with np.errstate(divide="ignore"):
-        inverse = F(1) / warped["depth"]
-    for y, x in np.argwhere(remembered):
-        met = []
-        for d in _DIRECTIONS:
-            found = (m for m in march(y, x, d, HOLES.MIXED_REACH, hole.shape) if not hole[m[1]])
-            met += [(F(1) / distance, q, d) for distance, q in itertools.islice(found, 1)]
-        least = min((inverse[q] for _, q, _ in met), default=F(0))
-        far = [m for m in met if inverse[m[1]] <= least * HOLES.FAR_SIDE]
-        if not far:
-            continue
-        weights = np.array([closeness for closeness, *_ in far], F)
-        colors = np.array([shown[q] for _, q, _ in far])
-        mean = decode_color(np.average(encode_color(colors), axis=0, weights=weights))
-        spread = np.average((colors.mean(1) - mean.mean()) ** 2, weights=weights)
-        typical = (HOLES.CONTRAST * mean.mean()) ** 2
-        counts = weights.max() * (typical / (typical + spread) if spread > 0 else 1)
-        code = encode_color(shown[y, x])
-        stale = _staleness(code, [c for _, q, d in far if (c := _change_around(q, d, warped, before))])
-        total = (1 - stale) * code + (stale + counts) * encode_color(mean)
-        color[y, x, :3] = decode_color(total / (1 + counts))
-    return color
-
-
-def continued_surfaces(warped, reach, to_source, source_color, source_depth, lines):
-    """Return {(y, x): `continued_surface`} of all holes."""
-    holes = map(tuple, np.argwhere(warped["filled_by"] == COMMON.BY_NOTHING))
-    return {at: continued_surface(warped, *at, reach, to_source, source_color, source_depth, lines) for at in holes}
-
-
-def asked_texels(warped, surfaces):
-    """Return (h, w) bool: 32×32 blocks between whose centers a hole lies without valid pixels near; `surfaces`: those
-    of `continued_surfaces`."""
-    height, width = warped["depth"].shape
-    asked = np.zeros((-(-height // HOLES.DOWNSAMPLING), -(-width // HOLES.DOWNSAMPLING)), bool)
-    for (y, x), found in surfaces.items():
-        if found is None:
-            y0, x0 = ((c + 0.5) / HOLES.DOWNSAMPLING - 0.5 for c in (y, x))
-            for tap in range(4):
-                ty, tx = int(np.floor(y0)) + (tap >> 1), int(np.floor(x0)) + (tap & 1)
-                asked[np.clip(ty, 0, asked.shape[0] - 1), np.clip(tx, 0, asked.shape[1] - 1)] = True
-    return asked
-
-
-def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, surfaces):
-    """Return color, depth, motion of the warped frame with its holes filled: from `continued_surfaces` within `reach`
-    px, else from the block sums."""
+def fill_from_downsampled(warped, color_sum, inverse_sum, to_source):
+    """Return color, depth, motion of the warped frame with its holes filled from the block sums."""
     height, width = warped["depth"].shape
     px = centers(height, width)
     b = px.astype(np.float64) / HOLES.DOWNSAMPLING - 0.5
@@ -344,13 +246,6 @@ def fill_holes(warped, color_sum, inverse_sum, to_source, reach, source_color, s
     with np.errstate(all="ignore"):
         mean = np.where(total[..., 3:] > 0, total[..., :3] / total[..., 3:], 0)
         mean_inverse = np.where(total[..., 3] > 0, inverse / total[..., 3], 0)
-    for (y, x), found in surfaces.items():
-        if found is not None:
-            mean[y, x], mean_inverse[y, x] = found[:3], found[3]
-        elif reach > 0:
-            at = source_of(y, x, mean_inverse[y, x], to_source)
-            if is_outside(at, source_color):
-                mean[y, x] = continued(mean[y, x], at, source_color)
     return _filled(warped, mean, mean_inverse, to_source)
 
 

@@ -59,15 +59,16 @@ def exp_less_one(x):
 
 
 def depth_median(depth):
-    """Return the middle of the bin, 1/128 of a power of two wide, that holds the median of the finite depths in every
-    eighth row; 1 without."""
-    depth = depth[:: NETWORK_INPUT.COUNTED_ROWS]
+    """Return the middle of the bin, 1/128 of a power of two wide, that holds the median of a lattice's finite depths; 1
+    without."""
+    width, height = NETWORK_INPUT.LATTICE_X, NETWORK_INPUT.LATTICE_Y
+    y, x = ((2 * np.arange(n) + 1) * size // (2 * n) for n, size in zip((height, width), depth.shape, strict=True))
+    depth = depth[np.ix_(y, x)]
     bits = np.sort(depth[np.isfinite(depth) & (depth > 0)].view(np.uint32))
     if not len(bits):
         return F(1)
-    dropped = NETWORK_INPUT.BIN_BITS
-    bin_ = bits[(len(bits) + 1) // 2 - 1] >> dropped
-    return np.array([bin_ << dropped | 1 << (dropped - 1)], np.uint32).view(F)[0]
+    rest = 31 - NETWORK_INPUT.ROUNDS
+    return np.array([bits[(len(bits) + 1) // 2 - 1] >> rest << rest | 1 << (rest - 1)], np.uint32).view(F)[0]
 
 
 def network_input(frame, previous, mask, exposure, network_size, past, to_previous):

@@ -124,11 +124,11 @@ def find_followed(frames, flow):
     follows &= (np.abs(finer) < F(now.shape[1]) * (F(1) / F(FLOW.LONGEST_FLOW))).all(0)
     around = sliding_window_view(np.pad(finer, ((0, 0), (1, 1), (1, 1)), mode="edge"), (3, 3), axis=(1, 2))
     follows &= (around.max((-1, -2)) - around.min((-1, -2)) < FLOW.SMOOTH).all(0)
-    inverse, mask = frames[FLOW.INVERSE_DEPTH], frames[FLOW.INPUT_MASK]
+    inverse = frames[FLOW.INVERSE_DEPTH]
     p, most = np.pad(inverse, 1, mode="edge"), FLOW.BENT * inverse
     across = p[1:-1, :-2] + p[1:-1, 2:] - F(2) * inverse
     down = p[:-2, 1:-1] + p[2:, 1:-1] - F(2) * inverse
-    rough = (np.abs(across) > most) | (np.abs(down) > most) | (mask != FLOW.REST)
+    rough = (np.abs(across) > most) | (np.abs(down) > most)
     return (follows & (_summed(rough.astype(F)) == 0)).astype(F)
 
 

@@ -64,17 +64,15 @@ def find_change(changed_samples):
     return bool((tiles > TREND.FEW).any())
 
 
-def find_trend(changes, reach):
+def find_trend(changes, spacing):
     """Return (4, h, w): means over the neighborhood of what is known, and the share that is."""
-    weights = np.arange(reach + 1, 0, -1, dtype=F) / F((reach + 1) ** 2)
-    for axis in (2, 1):
-        total, size = np.zeros_like(changes), changes.shape[axis]
-        for d in range(-reach, reach + 1):
-            to, of = slice(max(-d, 0), max(size - max(d, 0), 0)), slice(max(d, 0), size + min(d, 0))
-            if abs(d) < size:
-                index = (slice(None),) * axis
-                total[(*index, to)] += weights[abs(d)] * changes[(*index, of)]
-        changes = total
+    around = TREND.AROUND
+    _, height, width = changes.shape
+    padded = np.pad(changes, ((0, 0), *[(around * spacing,) * 2] * 2))
+    changes = np.zeros_like(changes)
+    for j, i in np.ndindex(2 * around + 1, 2 * around + 1):
+        share = F((around + 1 - abs(j - around)) * (around + 1 - abs(i - around))) * F(1 / 81)
+        changes += share * padded[:, j * spacing : j * spacing + height, i * spacing : i * spacing + width]
     share = np.maximum(changes[3], F(TREND.LEAST_SHARE))
     return np.concatenate([changes[:3] / share, changes[3:]])
 

@@ -358,7 +358,6 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom, sharpness
         "motion": source_center + d - center,
         "dynamic": (dynamic[sy, sx] > 0).astype(np.uint8),
         "disoccluded": holes.astype(np.uint8),
-        "mixed": ((step_x != 0) | (step_y != 0)).astype(np.uint8),
         "filled_by": np.where(own_pixel, COMMON.BY_WARP, COMMON.BY_CRACK_CLOSING).astype(np.uint8),
     }
     for name, empty in (
@@ -366,7 +365,6 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom, sharpness
         ("depth", INF),
         ("motion", 0),
         ("dynamic", 0),
-        ("mixed", 0),
         ("filled_by", COMMON.BY_NOTHING),
     ):
         result[name][holes] = empty

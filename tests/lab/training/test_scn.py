@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from gffe_cl.engine.core.errors import GffeError  # noqa: E402
 from gffe_cl.engine.inference import network as inference  # noqa: E402
-from gffe_cl.engine.stages.shading_trend import TREND_PLANES, reach_of  # noqa: E402
+from gffe_cl.engine.stages.shading_trend import TREND_PLANES, spacing_of  # noqa: E402
 from gffe_cl.lab import metrics  # noqa: E402
 from gffe_cl.lab.metrics import focus_mask, shading_regions, to_display  # noqa: E402
 from gffe_cl.lab.training import clips, images, losses, network  # noqa: E402
@@ -391,12 +391,11 @@ def test_trends_are_what_the_stage_finds():
     height, cells = 540, 24
     known = (random(1, 1, cells, cells, seed=2) < 0.7).float()
     changes = (random(1, 3, cells, cells) - 0.5) * known
-    expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), reach_of(height))[:3]
+    expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), spacing_of(height))[:3]
     spread = [torch.repeat_interleave(torch.repeat_interleave(x, 4, -1), 4, -2) for x in (changes, known)]
     found = low_pass(*spread, torch.tensor([float(height)]))
-    assert found.shape == (1, 3, 2 * cells, 2 * cells)
-    middle = torch.nn.functional.avg_pool2d(found, 2)[0].numpy()  # doubled bilinearly, nearly the cells again
-    np.testing.assert_allclose(middle, expected, atol=0.1 * np.abs(expected).max())
+    expected = np.stack([twins.shading_flow.doubled(plane) for plane in expected])
+    np.testing.assert_allclose(found[0].numpy(), expected, atol=1e-6)
 
 
 @pytest.mark.parametrize("alpha", [0.25, 1.0])
@@ -559,14 +558,14 @@ def test_equal_seeds_agree_and_slices_make_no_difference(data, tmp_path):
     whole = started(tmp_path / "whole", data, recipe)
     assert whole.run()
     part = started(tmp_path / "parts", data, recipe)
-    assert not part.run(until=0.0)  # nothing but a checkpoint
+    assert not part.run(until=0.0) and part.step == 1  # whatever the time
     for _ in range(2):
         part = started(tmp_path / "parts", data, recipe)
-        stop = part.step + 2
+        stop = part.step + 1
         with pytest.raises(KeyboardInterrupt):
             part.run(on_step=lambda progress, stop=stop: interrupt(progress.step == stop))
     part = started(tmp_path / "parts", data, recipe)
-    assert part.step == 4 and part.run()
+    assert part.step == 3 and part.run()
     assert_same_weights(whole, part)
     other = started(tmp_path / "other", data, Recipe(seed=4, steps=4, batch=1))
     assert other.run()
@@ -692,12 +691,10 @@ def train(tmp_path, monkeypatch, capsys):
 def test_however_short_the_time_there_is_a_model_in_the_end(train, tmp_path):
     """Clips take all of it, and yet some steps are done; the same command goes on with the clips it began with."""
     recipe = ("--seed", "3", "--batch", "1", "--steps", "1000")
-    code, told, report = train(*recipe, "--minutes", "0.002")
+    code, _, report = train(*recipe, "--minutes", "0.002")
     assert code == 0 and not report["done"] and report["step"] > 0
     assert {path.name for path in (tmp_path / "run").iterdir()} >= {"scn.onnx", "MODEL_CARD.md", CHECKPOINT}
     assert len(clips.finished_clips(tmp_path / "run" / "data", 3, 400)) == 2
-    assert "clips: at most 0 s" in told and "s each, about 2 of 400 in this time" in told
-    assert "steps: 1,000 of 1,000 to go, for " in told
     inference.load_network(tmp_path / "run" / "scn.onnx")
     _, told, later = train(*recipe, "--minutes", "0.002")
     assert later["step"] > report["step"] and later["data"].startswith("2 clips")
@@ -742,7 +739,6 @@ def test_the_pipeline_makes_what_the_trained_network_does(opened, tmp_path):
     """Flow search, convolutions and head in kernels and onnxruntime, against PyTorch's forward."""
     from gffe_cl import Options, Pipeline
     from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
-    from gffe_cl.engine.opencl.program import constants
 
     torch.manual_seed(5)
     net, model = network.ShadingCorrectionNetwork(), tmp_path / "scn.onnx"
@@ -762,5 +758,4 @@ def test_the_pipeline_makes_what_the_trained_network_does(opened, tmp_path):
     with torch.no_grad():
         expected = net.eval()(seen, torch.tensor([made.alpha], dtype=torch.float32), trends)[0].numpy()
     assert trends.any() and np.abs(expected[:3]).max() > 0.01
-    expected[4, seen[0, 7].numpy() < constants("correction.cl")["DISOCCLUDED_BELOW"]] = 0  # as kernels do
     np.testing.assert_allclose(pipeline.stages["correction"].read("correction"), expected, atol=1e-4)

@@ -60,7 +60,6 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
     }
     if (grid == GFFE_LEVEL) side[0] = side[1] = (size_t)1 << level;
     if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
-    if (grid == GFFE_TILES) side[0] = side[1] = GFFE_TILE;
     if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
     if (grid == GFFE_RUNS) side[0] = GFFE_RUN_PIXELS;
     if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
@@ -76,7 +75,6 @@ void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) 
             size[k] = rounded_up(size[k], multiple) * multiple;
         }
     }
-    if (grid == GFFE_TILES) size[0] *= GFFE_TILE_GROUP;
 }
 
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {

@@ -29,10 +29,10 @@ class Fragment:
     sentences: tuple[str, ...]
     pixel: tuple[int, int]
 
-    def story(self, pixel, filled_by, source_px, start, level=None) -> Story:
+    def story(self, pixel, filled_by, source_px, start) -> Story:
         known = (self.trajectory, self.dynamic, self.residual, self.threshold)
         said = (*start, *self.sentences)
-        return Story(pixel, filled_by, source_px, *known, level, sentences=said, fragment=self.pixel)
+        return Story(pixel, filled_by, source_px, *known, sentences=said, fragment=self.pixel)
 
     @classmethod
     def at(cls, pipeline: Pipeline, shot: Shot, source_px, landed=None) -> Fragment | None:

@@ -112,7 +112,7 @@ def _with_sharpness(story: Story, pipeline: Pipeline, values: dict[str, np.ndarr
     number, px = int(values[names.FILLED_BY][0]), story.source
     if Sharpness.name not in pipeline.stages or not px or all(abs(c % 1 - 0.5) < 0.01 for c in px):
         return story
-    if pipeline.options.warps_footprints and (number not in (BY_WARP, BY_CRACK_CLOSING) or values[names.MIXED][0]):
+    if pipeline.options.warps_footprints and number not in (BY_WARP, BY_CRACK_CLOSING):
         return story
     measured = float(pipeline.stages[Sharpness.name].read("sharpness").item())
     said = f"Interpolated between pixels: a sharpness of {measured:.2f} was measured on rendered frames."
@@ -159,7 +159,7 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     if number in (BY_HIDDEN_PART, BY_REAPPEARING):
         said = _hidden_sentences(pipeline, shot, (x, y), source_px, values, number)
         return Story((x, y), label, source_px, sentences=said)
-    if level is not None and values[names.DISOCCLUDED][0]:
+    if level is not None:
         return _background_story(pipeline, shot, (x, y), source_px, level, values)
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
     told = Fragment.at(pipeline, shot, source_px, landed)
@@ -170,17 +170,11 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     if number == BY_CRACK_CLOSING:
         said = f"Crack closing: the fragment from {where} covers this pixel too, none lands in it."
         start = [Step(said, *there, filled)]
-    elif level is not None:
-        said = f"Its color is mixed with that of a silhouette there, so it comes from {label}."
-        start.append(Step(said, filled, Link(f"level {level}", names.background("color", level))))
     elif number != BY_WARP:
         start = [Step(f"Its color comes from: {label}.", filled)]
-    elif values[names.MIXED][0]:
-        said = "Its color is mixed with that of a silhouette there, so its neighbor's is shown."
-        start.append(Step(said, Link("mixed", names.MIXED)))
     if told is None:
         return Story((x, y), label, source_px, sentences=tuple(start))
-    return told.story((x, y), label, source_px, tuple(start), level)
+    return told.story((x, y), label, source_px, tuple(start))
 
 
 def _to_source(shot: Shot, source_px) -> tuple[Link, ...]:
@@ -256,10 +250,8 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
         front = float(values[names.RENDERED_DEPTH][0])
         hides = f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
         said.append(Step(hides, *_to_source(shot, source_px)))
-    if getattr(pipeline.stages.get("holes"), "mixes", False):
-        said.append(
-            "Its color is mixed with that of the surface beside the hole; a near and uniform surface counts more."
-        )
+    if pipeline.options.hole_filling == "far-side":
+        said.append("Its color is mixed with that of the surface beside the hole, which counts more the nearer it is.")
     now = (pixel[0] + 0.5, pixel[1] + 0.5)
     path = (moved(at, shot.moment.render_camera, shot.moment.display_camera), now) if at else (now,)
     return Story(pixel, _filled_by(1 + level), source_px, path, level=level, level_px=at, sentences=tuple(said))

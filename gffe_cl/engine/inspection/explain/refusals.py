@@ -71,7 +71,8 @@ def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step
     x, y = found[way]
     hidden, why = _was_hidden(pipeline, shot, block, x, y)
     if hidden:
-        why += f" But {_why_not_owned(pipeline, shot, block, found, way)}."
+        away, most = math.dist((x, y), pixel), reach / _MOVERS["BESIDE"]
+        why += f" But it is {away:.1f} px away; movers own holes within {most:.1f} px."
     return Step(
         f"Hidden parts of movers left it: if it moved as ({x}, {y}) does, the nearest mover, {why}",
         Link("that mover", names.DYNAMIC, pixel=(x, y)),
@@ -125,38 +126,6 @@ def _depth_at(pipeline: Pipeline, layer: DeviceLayer, place) -> float | None:
     """Return the depth that a rendered image shows at `place`; None outside of it."""
     at = layer.place((0, 0), place)
     return None if at is None else float(read_blocks(pipeline, {"depth": (layer, *at, 1, 1)})["depth"].flat[0])
-
-
-def _why_not_owned(pipeline: Pipeline, shot: Shot, block: _Block, found: dict, way: tuple[int, int]) -> str:
-    """Return why the pixel of `block` is not of a mover that is `found` by direction, though it can have been a hidden
-    part of the nearest one, in direction `way`."""
-    hidden = {one: at for one, at in found.items() if _was_hidden(pipeline, shot, block, *at)[0]}
-    depths = {one: float(block.at(names.DEPTH, *at)[0]) for one, at in hidden.items()}
-    opposite, near = (-way[0], -way[1]), block.reach / _MOVERS["BESIDE"]
-
-    def span(one: tuple[int, int]) -> float:
-        """Return the distance between the movers in a direction and its opposite; infinite without two of one depth."""
-        other = (-one[0], -one[1])
-        if other not in hidden:
-            return math.inf
-        near, far = sorted((depths[one], depths[other]))
-        return math.dist(hidden[one], hidden[other]) if far - near <= _MOVERS["ONE_OBJECT"] * near else math.inf
-
-    distance = math.dist(found[way], block.pixel)
-    if distance <= near:
-        return f"that mover is {distance:.1f} px away, and up to {near:.1f} px one side is enough: nothing refuses it"
-    between = min(hidden, key=span)
-    if span(between) <= block.reach:
-        return f"({hidden[between][0]}, {hidden[between][1]}) is one with a mover on the other side: nothing refuses it"
-    alone = f"that mover is {distance:.1f} px away, more than the {near:.1f} px within which one side is enough, and"
-    if opposite not in found:
-        return f"{alone} nothing moves on the other side within {block.reach} px"
-    other = f"the mover on the other side, at ({found[opposite][0]}, {found[opposite][1]}),"
-    if opposite not in hidden:
-        return f"{alone} {other} has no hidden part here"
-    if math.isinf(span(way)):
-        return f"{alone} {other} is another one: its depth is {depths[opposite]:.4g}, not {depths[way]:.4g}"
-    return f"{alone} {other} is {span(way):.1f} px from it, more than {block.reach} px"
 
 
 def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px) -> Step | None:
@@ -230,17 +199,16 @@ def what_was_taken(
         return int(block.at(names.FILLED_BY, x, y)[0]) != BY_HOLE_FILLING
 
     first = {direction: block.first(direction, is_beside) for direction in _DIRECTIONS}
+    if is_far := not any(first.values()):
+        block = _Block(pipeline, shot, pixel, sum(pipeline.sizes.target), wanted)
+        first = {direction: block.first(direction, is_beside) for direction in _DIRECTIONS}
     ways = {way: _taken(pipeline, shot, block, at) for way, at in first.items() if at is not None}
     met = list(ways.values())
     color = f"The result is ({', '.join(f'{float(c):.3g}' for c in values[names.FINAL][:3])})."
     if not met:
-        return Step(
-            f"No pixel beside the hole is within {reach} px in eight directions, so it took the image downsampled 32"
-            f" times. {color}",
-            Link("downsampled", "holes.downsampled_color"),
-        )
+        return Step(f"No direction meets a pixel beside the hole, so it took that of the rendered frame. {color}")
     beyond = [one for one in met if one.outside]
-    if not beyond and not all(one.mover for one in met):
+    if not beyond and not is_far and not all(one.mover for one in met):
         looked = (one if one.behind else _past(pipeline, shot, block, way, one) for way, one in ways.items())
         met = [one for one in looked if one is not None]
     used = beyond or _behind(met)
@@ -351,6 +319,6 @@ def where_it_reappears_from(pipeline: Pipeline, shot: Shot, source_px: tuple[flo
     depth = float(block.at(names.MET_DEPTH, *mover)[0])
     said = (
         f"It moves as the mover beside it, at {mover} of rendered frame {shot.moment.k}, does. So its color is that of"
-        f" frame {before} at ({x:.1f}, {y:.1f}), mixed of up to four pixels there at the mover's depth {depth:.4g}."
+        f" frame {before} at ({x:.1f}, {y:.1f}), at the mover's depth {depth:.4g}."
     )
     return Step(said, Link(f"frame {before}", names.FINAL, before, (math.floor(x), math.floor(y))))
