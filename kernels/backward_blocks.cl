@@ -1,9 +1,8 @@
 /* Blocks: which parts of the new frame need no splatting (for 'Warping').
 
-   A source block is smooth if predicted positions change linearly over it: strictly if it is all of one surface, else
-   loosely, if its surfaces hardly move apart, or as a rigid one, if they do not. Every source block marks the target
-   blocks with pixels that its fragments' footprints cover. A target block is warped backward if all that reach it lie
-   side by side and are smooth: then nothing in it hides or uncovers anything. */
+   A source block is smooth if predicted positions change linearly over it. Every source block marks the target blocks
+   with pixels that its fragments' footprints cover. A target block is warped backward, by the inverse of the flow at
+   its center, if all that reach it lie side by side and are smooth: then nothing in it hides or uncovers anything. */
 
 #include "frame.h"
 #include "simd.h"
@@ -16,12 +15,10 @@
 #define MARGIN 2                  /* px around a block that must be linear, too: the taps of cubic resampling */
 #define COLUMNS_MOST 3            /* of source blocks that reach a target block which is warped backward */
 #define ROWS_MOST 4
-#define STRICT_MOST 0.03125f /* px: by how much the positions of a smooth block of one surface deviate from linear */
-#define LOOSE_MOST 0.109375f      /* px: the same of a smooth block with several surfaces */
+#define LINEAR_MOST 0.03125f /* px: by how much the positions of a smooth block deviate from linear */
 #define SHEAR_MOST 0.25f /* of a smooth block, per source pixel and zoom ... */
 #define STRETCH_LOW 0.5f /* ... and how it is stretched */
 #define STRETCH_HIGH 2.0f
-#define AFFINE_MOST 0.0009765625f /* px: by how much a block's corners deviate from the inverse of its flow */
 #define HALF_LEAST 0.5f /* px: a fragment always covers the pixel that it lands on */
 #define ROUNDING 0.01f /* px: more than the footprint's rounding in warp.cl */
 
@@ -64,17 +61,6 @@ INLINE Box reach_of(const Fragments f, const int x0, const int y0) {
     return box;
 }
 
-/* Whether the links of all pixels up to two beyond the block are complete. */
-INLINE bool is_one_surface(const Fragments f, const int x0, const int y0) {
-    uchar8 common = (uchar8)(ALL_LINKS);
-#pragma unroll 1
-    for (int k = -MARGIN; k < BLOCK_HEIGHT + MARGIN; ++k) {
-        __global const uchar *row = f.links + (y0 + k) * f.width + x0;
-        common &= vload8(0, row - MARGIN) & vload8(0, row + MARGIN);
-    }
-    return as_ulong(common) == as_ulong((uchar8)(ALL_LINKS));
-}
-
 /* The largest deviation of one coordinate from a linear function of the block's pixels and MARGIN more to each side,
    which passes through their corners; beyond any limit where a fragment goes nowhere. center: its value at the block's
    center. along, down: its slopes per pixel. */
@@ -98,51 +84,31 @@ INLINE Floats deviation_from_linear(__global const float *p, const int row, floa
     return worst;
 }
 
-/* Whether depth there and here are near enough for flow.h to trust the slopes. */
-INLINE bool keeps_depth(const Fragments f, const int x0, const int y0) {
-    Ints keeps = (Ints)(1) == (Ints)(1);
-    for (int x = x0; x < x0 + BLOCK_WIDTH; x += LANES)
-#pragma unroll
-        for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
-            const int src = y * f.width + x;
-            const Floats z = load_floats(0, f.target_position + 2 * f.plane + src),
-                         z_source = load_floats(0, f.depth + src);
-            keeps &= (z > 0.0f) & (z_source <= STRETCH_HIGH * z) & (z <= STRETCH_HIGH * z_source);
-        }
-    return ALL(keeps);
-}
-
 /* Whether the block that begins at pixel (x0, y0), with MARGIN around it, leaves the image. */
 INLINE bool leaves(const int x0, const int y0, const int width, const int height) {
     return x0 < MARGIN || y0 < MARGIN || x0 + BLOCK_WIDTH + MARGIN > width || y0 + BLOCK_HEIGHT + MARGIN > height;
 }
 
-/* Whether positions are linear over the block: STRICT, LOOSE, RIGID or 0; if so, *box is its reach. */
-INLINE int smoothness(const Fragments f, const int x0, const int y0, Box *box) {
-    if (leaves(x0, y0, f.width, f.height)) return 0;
+/* Whether positions are linear over the block; if so, *box is its reach. */
+INLINE bool is_smooth(const Fragments f, const int x0, const int y0, Box *box) {
+    if (leaves(x0, y0, f.width, f.height)) return false;
     __global const float *p = f.target_position + y0 * f.width + x0;
     float x, y, xx, xy, yx, yy;
     const Floats off_x = deviation_from_linear(p, f.width, &x, &xx, &yx);
-    if (!ALL(off_x <= LOOSE_MOST)) return 0;
+    if (!ALL(off_x <= LINEAR_MOST)) return false;
     const Floats off_y = deviation_from_linear(p + f.plane, f.width, &y, &xy, &yy);
-    if (!ALL(off_y <= LOOSE_MOST)) return 0;
-    const bool flat = xx >= STRETCH_LOW * f.zoom.x && xx <= STRETCH_HIGH * f.zoom.x && fabs(yx) <= SHEAR_MOST * f.zoom.x
-                      && yy >= STRETCH_LOW * f.zoom.y && yy <= STRETCH_HIGH * f.zoom.y
-                      && fabs(xy) <= SHEAR_MOST * f.zoom.y;
-    if (!flat || !keeps_depth(f, x0, y0)) return 0;
-    const bool strict = ALL((off_x <= STRICT_MOST) & (off_y <= STRICT_MOST)) && is_one_surface(f, x0, y0);
-    const bool rigid = !strict && ALL((off_x <= AFFINE_MOST) & (off_y <= AFFINE_MOST));
-    const float most = strict ? STRICT_MOST : LOOSE_MOST;
-    const float half_x = 0.5f * (float)(BLOCK_WIDTH - 1) * xx + 0.5f * (float)(BLOCK_HEIGHT - 1) * fabs(yx) + most
-                         + fmax(FOOTPRINT_HALF * (xx + fabs(yx)), HALF_LEAST);
-    const float half_y = 0.5f * (float)(BLOCK_WIDTH - 1) * fabs(xy) + 0.5f * (float)(BLOCK_HEIGHT - 1) * yy + most
-                         + fmax(FOOTPRINT_HALF * (fabs(xy) + yy), HALF_LEAST);
+    if (!ALL(off_y <= LINEAR_MOST)) return false;
+    const float half_x = 0.5f * (float)(BLOCK_WIDTH - 1) * xx + 0.5f * (float)(BLOCK_HEIGHT - 1) * fabs(yx)
+                         + LINEAR_MOST + fmax(FOOTPRINT_HALF * (xx + fabs(yx)), HALF_LEAST);
+    const float half_y = 0.5f * (float)(BLOCK_WIDTH - 1) * fabs(xy) + 0.5f * (float)(BLOCK_HEIGHT - 1) * yy
+                         + LINEAR_MOST + fmax(FOOTPRINT_HALF * (fabs(xy) + yy), HALF_LEAST);
     const Box reach = {x - half_x, y - half_y, x + half_x, y + half_y};
     *box = reach;
-    return strict ? STRICT : rigid ? RIGID : LOOSE;
+    return xx >= STRETCH_LOW * f.zoom.x && xx <= STRETCH_HIGH * f.zoom.x && fabs(yx) <= SHEAR_MOST * f.zoom.x
+           && yy >= STRETCH_LOW * f.zoom.y && yy <= STRETCH_HIGH * f.zoom.y && fabs(xy) <= SHEAR_MOST * f.zoom.y;
 }
 
-/* One work-item per source block. smooth: RESTING, STRICT, LOOSE, RIGID or 0; it stays 0 where nothing is done. reach:
+/* One work-item per source block. smooth: RESTING, SMOOTH or 0. reach:
    the target blocks x0, y0, x1, y1 with pixel centers in its fragments' footprints, x1 < x0 if none. reached_by: for
    each target block the extent of the source blocks that reach it, as the largest of FAR_OFF - x, FAR_OFF - y, x + 1, y
    + 1; of blocks that are not smooth, everything. */
@@ -164,10 +130,9 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
     const Fragments fragments = fragments_of(frame, depth, target_position, links);
     const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
     Box box;
-    const int of_block = smoothness(fragments, x0, y0, &box);
-    const bool is_smooth = of_block != 0;
-    if (!is_smooth) box = reach_of(fragments, x0, y0);
-    smooth[block] = of_block;
+    const bool linear = is_smooth(fragments, x0, y0, &box);
+    if (!linear) box = reach_of(fragments, x0, y0);
+    smooth[block] = linear ? SMOOTH : 0;
     const float first_x = ceil(box.x0 - (0.5f + ROUNDING)), first_y = ceil(box.y0 - (0.5f + ROUNDING));
     const float last_x = floor(box.x1 - (0.5f - ROUNDING)), last_y = floor(box.y1 - (0.5f - ROUNDING));
     int4 reached = (int4)(1, 1, 0, 0);
@@ -178,8 +143,8 @@ WIDE __kernel void find_reach(__constant Frame *restrict frame, __global const f
     reach[block] = convert_short4(reached);
 
     /* ... is noted in the blocks that it meets. */
-    const int extent[4] = {FAR_OFF - (is_smooth ? bx : 0), FAR_OFF - (is_smooth ? by : 0), is_smooth ? bx + 1 : FAR_OFF,
-                           is_smooth ? by + 1 : FAR_OFF};
+    const int extent[4] = {FAR_OFF - (linear ? bx : 0), FAR_OFF - (linear ? by : 0), linear ? bx + 1 : FAR_OFF,
+                           linear ? by + 1 : FAR_OFF};
     for (int y = reached.y; y <= reached.w; ++y)
         for (int x = reached.x; x <= reached.z; ++x)
             for (int k = 0; k < 4; ++k) {
@@ -215,24 +180,6 @@ INLINE bool find_source(const float2 center, const int4 extent, const int source
     return false;
 }
 
-/* Whether fragments go to the positions by the inverse of the flow around the block's center: tested at its upper
-   corners, from which the opposite ones hardly differ. */
-INLINE bool is_affine(const float2 center, const float8 source, const int source_width, const int source_height,
-                      __global const float *target_position) {
-    bool affine = true;
-    for (int k = 0; k < 2; ++k) {
-        const float x = (k ? 0.5f : -0.5f) * (float)(BLOCK_WIDTH - 1), y = -0.5f * (float)(BLOCK_HEIGHT - 1);
-        const float px_x = source.s0 + source.s2 * x + source.s3 * y, px_y = source.s1 + source.s4 * x + source.s5 * y;
-        const int src_x = clamp((int)floor(px_x), 0, source_width - 1),
-                  src_y = clamp((int)floor(px_y), 0, source_height - 1);
-        const float dx = ((float)src_x + 0.5f - px_x) * source.s6, dy = ((float)src_y + 0.5f - px_y) * source.s6;
-        __global const float *p = target_position + src_y * source_width + src_x, *q = p + source_width * source_height;
-        affine = affine && fabs(*p - (center.x + x + source.s5 * dx - source.s3 * dy)) <= AFFINE_MOST
-                 && fabs(*q - (center.y + y + source.s2 * dy - source.s4 * dx)) <= AFFINE_MOST;
-    }
-    return affine;
-}
-
 /* One work-item per target block: stores its class, and for backward warping the source of its center. Clears the
    block's reach for the next frame, and the keys of splatted blocks; marks no silhouette in it if that `softens`
    any. */
@@ -260,26 +207,19 @@ SPARSE __kernel void classify_blocks(__constant Frame *restrict frame, __global 
     bool backward = (bx + 1) * BLOCK_WIDTH <= target_width && (by + 1) * BLOCK_HEIGHT <= target_height
                     && extent.x <= extent.z && extent.y <= extent.w && extent.z - extent.x < COLUMNS_MOST
                     && extent.w - extent.y < ROWS_MOST;
-    bool loose = false, rigid = false;
     for (int y = extent.y; backward && y <= extent.w; ++y)
         for (int x = extent.x; x <= extent.z; ++x) {
             const uchar of_source = smooth[y * source_blocks + x];
             backward =
                 backward && of_source
                 && !(of_source == RESTING && leaves(x * BLOCK_WIDTH, y * BLOCK_HEIGHT, source_width, source_height));
-            loose = loose || of_source == LOOSE;
-            rigid = rigid || of_source == RIGID || of_source == RESTING;
         }
     if (backward) {
         float8 source;
         const float2 center =
             (float2)((float)(bx * BLOCK_WIDTH + BLOCK_WIDTH / 2), (float)(by * BLOCK_HEIGHT + BLOCK_HEIGHT / 2));
         backward = find_source(center, extent, source_width, source_width * source_height, target_position, &source);
-        if (backward) {
-            const bool affine = !loose && is_affine(center, source, source_width, source_height, target_position);
-            source.s7 = affine ? (rigid ? FLOW_RIGID : FLOW_AFFINE) : loose || rigid ? FLOW_LOOSE : FLOW_SMOOTH;
-            block_source[block] = source;
-        }
+        if (backward) block_source[block] = source;
     }
     block_class[block] = backward ? BACKWARD : SPLATTED;
     if (backward) return;

@@ -6,20 +6,10 @@
 #define BACKWARD 1   /* one whose pixels' sources are found by the inverse of the block's flow: warped backward */
 #define COPIED 2     /* one that nothing but the rendered frame's own pixels reach, which stay: they are copied */
 
-/* Of a source block over which positions are linear: it is of one surface; of several, which hardly move apart; of
-   several, which do not. */
-#define STRICT 1
-#define LOOSE 2
-#define RIGID 3
-/* RESTING: of a source block whose pixels stay, and all within STIR_REACH: RIGID, but perhaps at the image's border */
-#define RESTING 4
-
-/* Of a target block that is warped backward: it comes from STRICT blocks; so, and the inverse of its flow is exact; the
-   inverse is exact, but some blocks are RIGID; else. */
-#define FLOW_SMOOTH 0.0f
-#define FLOW_AFFINE 1.0f
-#define FLOW_RIGID 2.0f
-#define FLOW_LOOSE 3.0f
+/* Of a source block over which positions are linear; and of one whose pixels stay, and all within STIR_REACH, perhaps
+   at the image's border. */
+#define SMOOTH 1
+#define RESTING 2
 
 INLINE int block_columns(const int width) { return (width + BLOCK_WIDTH - 1) / BLOCK_WIDTH; }
 INLINE int block_rows(const int height) { return (height + BLOCK_HEIGHT - 1) / BLOCK_HEIGHT; }

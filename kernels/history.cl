@@ -19,7 +19,8 @@
 #define COUNT_GROUP 64                 /* work-items per work-group that counts: a row of SAMPLES_X samples */
 #define SCATTER_DISTANCE 8       /* px, diagonally: near enough for one surface */
 #define CAMERA_ERROR 0.75f       /* px: static points are off by less where the camera is a fit */
-#define HISTOGRAMS 6             /* of residuals, of their changes, and of steps by STEP_CLASSES */
+#define HISTOGRAMS 8 /* of residuals, of their changes, of steps by STEP_CLASSES, and of excess by LOOKUPS */
+#define EXCESS ((HISTOGRAMS - LOOKUPS) * RESIDUAL_BINS) /* index of the first of excess */
 #define ARRIVED (HISTOGRAMS * RESIDUAL_BINS) /* index of the number of work-groups that have added their counts */
 #define STEP_CLASSES 4 /* steps of motion in x where it is not negative, in x where it is, and the same for y */
 #define STEP_FIRST 0x3e8 /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
@@ -30,11 +31,9 @@
 
 #define NO_MOTION 0.001f /* px: each component of less, with rounding, is within epsilon ... */
 #define LEAST_THRESHOLD 0.01f /* ... if that is at least so much */
-#define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
-#define DEPTH_CHANGE_MOST 0.12f /* relative, in an interval, of a surface that fills the neighborhood of x' */
 
 INLINE float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
@@ -194,16 +193,48 @@ INLINE bool add_counts(__local int *counts, const int count, const int groups, _
     return true;
 }
 
+INLINE bool is_quantized(__global const float *motion_steps) {
+    return motion_steps[0] + motion_steps[1] + motion_steps[2] + motion_steps[3] != 0.0f;
+}
+
+/* epsilon in addition to errors of quantization: where the excess over them ends, as in noise_threshold_squared; of
+   these errors few are near the largest, so 0.5% is enough. */
+INLINE float excess_threshold_squared(__local const int *histogram) {
+    int below, last = quantile_bin(histogram, 0.1f, &below);
+    while (last + 1 < RESIDUAL_BINS && bin_start(last + 1) <= QUANTIZED_LOW * QUANTIZED_LOW) below += histogram[++last];
+    const int low = last;
+    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.005f * (float)below;
+         ++last)
+        below += histogram[last + 1];
+    return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
+}
+
+/* How many quantized vectors were added to one: two, if that brings more than a fortieth of the pixels within the
+   errors. From histograms of the squared excess of residuals over the errors of one vector and of two. */
+INLINE int lookups_of(__local const int *histogram) {
+    int low = 0, lookups = 1;
+    while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
+    while (lookups < LOOKUPS
+           && 40
+                      * (sum_of(histogram + (lookups - 1) * RESIDUAL_BINS, low)
+                         - sum_of(histogram + lookups * RESIDUAL_BINS, low))
+                  > sum_of(histogram, 0))
+        ++lookups;
+    return lookups;
+}
+
 /* Measures a subset of the pixels, before anything else is done with a rendered frame. The first row of
    work-groups writes its block. The next SAMPLES_Y count the samples of a cut: cut_counts[row * COUNTS + what].
    The others make histograms: of the squared residual, two bins per octave, of its squared change over a short
-   distance, and, of every fourth of their pixels, of the steps of motion over that distance. From them the last
-   work-group finds the threshold, and the steps of quantized motion. */
+   distance, of every fourth of their pixels, of the steps of motion over that distance, and of the squared excess over
+   errors of quantization by the steps of the frame before. From them the last work-group finds the threshold, these
+   errors, and the steps for the next frame. */
 WIDE __kernel __attribute__((reqd_work_group_size(COUNT_GROUP, 1, 1))) void
 measure_samples(const Frame given, __global Frame *frame, __global const half *color, __global const float *depth,
                 __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
-                __global int *cut_counts, __global int *pending, __global int *histogram,
-                __global float *threshold_squared, __global float *motion_steps) {
+                __global const float *steps_prev, __global int *cut_counts, __global int *pending,
+                __global int *histogram, __global float *threshold_squared, __global float *motion_steps,
+                __global float *quantization_error) {
     const int width = given.source_width, height = given.source_height, item = get_local_id(0);
     const int row = (int)get_global_id(1) - (SAMPLES_Y + 1), first = row * RESIDUAL_ROWS * RESIDUAL_STRIDE;
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], is_last;
@@ -222,6 +253,7 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
         return;
     }
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
+    const bool quantized = is_quantized(steps_prev);
     const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, height);
 #pragma unroll 1
     for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
@@ -233,6 +265,10 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
                             motion, &near_x, &near_y, &near_mv_x, &near_mv_y);
         count_residuals(counts, use, x, y);
         count_residuals(counts + RESIDUAL_BINS, use & near_use, x - near_x, y - near_y);
+        for (int k = 1; quantized && k <= LOOKUPS; ++k)
+            count_residuals(counts + EXCESS + (k - 1) * RESIDUAL_BINS, use,
+                            beyond(x, mv_x, 0.5f * (float)k, steps_prev),
+                            beyond(y, mv_y, 0.5f * (float)k, steps_prev + 2));
         if (src_y != first) continue;
         count_steps(counts + 2 * RESIDUAL_BINS, use & near_use, mv_x, mv_x + x, near_mv_x, near_mv_x + near_x);
         count_steps(counts + 4 * RESIDUAL_BINS, use & near_use, mv_y, mv_y + y, near_mv_y, near_mv_y + near_y);
@@ -242,61 +278,10 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += COUNT_GROUP) histogram[b] = counts[b];
     if (item) return;
     const float found = noise_threshold_squared(counts, THRESHOLD_LOW, THRESHOLD_HIGH);
-    *threshold_squared = found;
+    const int lookups = quantized ? lookups_of(counts + EXCESS) : 0;
+    *threshold_squared = lookups ? excess_threshold_squared(counts + EXCESS + (lookups - 1) * RESIDUAL_BINS) : found;
+    for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.5f * (float)lookups * steps_prev[c];
     find_steps(counts + 2 * RESIDUAL_BINS, found, motion_steps);
-}
-
-INLINE bool is_quantized(__global const float *motion_steps) {
-    return motion_steps[0] + motion_steps[1] + motion_steps[2] + motion_steps[3] != 0.0f;
-}
-
-/* epsilon in addition to errors of quantization: where the excess over them ends, as in noise_threshold_squared; of
-   these errors few are near the largest, so 0.5% is enough. */
-INLINE float excess_threshold_squared(__local const int *histogram) {
-    int below, last = quantile_bin(histogram, 0.1f, &below);
-    while (last + 1 < RESIDUAL_BINS && bin_start(last + 1) <= QUANTIZED_LOW * QUANTIZED_LOW) below += histogram[++last];
-    const int low = last;
-    for (; last + 2 < RESIDUAL_BINS && (float)(histogram[last + 1] + histogram[last + 2]) > 0.005f * (float)below;
-         ++last)
-        below += histogram[last + 1];
-    return last == low ? QUANTIZED_LOW * QUANTIZED_LOW : fmin(bin_start(last + 1), CAMERA_ERROR * CAMERA_ERROR);
-}
-
-/* Errors of quantization by class, px, and the threshold in addition to them. They are those of two vectors if that
-   brings more than a fortieth of the pixels within the errors. From histograms of the squared excess of residuals over
-   errors of quantization, of one and of two vectors, by the last work-group. */
-WIDE __kernel __attribute__((reqd_work_group_size(COUNT_GROUP, 1, 1))) void
-refine_threshold(__constant Frame *restrict frame, __global const float *depth, __global const float2 *motion,
-                 __global const float *motion_steps, __global int *pending, __global float *threshold_squared,
-                 __global float *quantization_error) {
-    const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
-    const int first = get_global_id(1) * RESIDUAL_ROWS * RESIDUAL_STRIDE, item = get_local_id(0);
-    const int width = frame->source_width, height = frame->source_height;
-    const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, height);
-    __local int counts[LOOKUPS * RESIDUAL_BINS], is_last;
-    if (!is_quantized(motion_steps)) {
-        if (first == 0 && get_global_id(0) < STEP_CLASSES) quantization_error[get_global_id(0)] = 0.0f;
-        return;
-    }
-    for (int b = item; b < LOOKUPS * RESIDUAL_BINS; b += COUNT_GROUP) counts[b] = 0;
-    barrier(CLK_LOCAL_MEM_FENCE);
-    for (int src_y = first; src_y < end; src_y += RESIDUAL_STRIDE) {
-        Floats x, y, mv_x, mv_y;
-        const Ints use =
-            static_residual(src_x, src_y, width, height, frame->to_previous, depth, motion, &x, &y, &mv_x, &mv_y);
-        for (int k = 1; k <= LOOKUPS; ++k)
-            count_residuals(counts + (k - 1) * RESIDUAL_BINS, use, beyond(x, mv_x, 0.5f * (float)k, motion_steps),
-                            beyond(y, mv_y, 0.5f * (float)k, motion_steps + 2));
-    }
-    if (!add_counts(counts, LOOKUPS * RESIDUAL_BINS, counting_groups(width, height), &is_last, pending) || item) return;
-    int low = 0, lookups = 1;
-    while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
-    while (lookups < LOOKUPS
-           && 40 * (sum_of(counts + (lookups - 1) * RESIDUAL_BINS, low) - sum_of(counts + lookups * RESIDUAL_BINS, low))
-                  > sum_of(counts, 0))
-        ++lookups;
-    *threshold_squared = excess_threshold_squared(counts + (lookups - 1) * RESIDUAL_BINS);
-    for (int c = 0; c < STEP_CLASSES; ++c) quantization_error[c] = 0.5f * (float)lookups * motion_steps[c];
 }
 
 INLINE bool plausible(const float z, const float z_expected, const float tolerance) {
@@ -327,38 +312,7 @@ INLINE float depth_met(const float2 px_prev, const float z_expected, const float
             *nearest = tap_y * source_width + tap_x;
         }
     }
-    if (weight_sum > 0.0f) return divide(sum, weight_sum);
-
-    const int near_x = (int)floor(px_prev.x), near_y = (int)floor(px_prev.y);
-    float found = -1.0f, closest = INFINITY;
-    for (int dy = -SEARCH_RADIUS; dy <= SEARCH_RADIUS; ++dy)
-        for (int dx = -SEARCH_RADIUS; dx <= SEARCH_RADIUS; ++dx) {
-            const int tap_x = near_x + dx, tap_y = near_y + dy;
-            if (!inside(tap_x, tap_y, source_width, source_height)) continue;
-            const float z = depth_prev[tap_y * source_width + tap_x];
-            const float distance = squared_distance(pixel_center(tap_x, tap_y), px_prev);
-            if (distance < closest && plausible(z, z_expected, tolerance)) {
-                closest = distance;
-                found = z;
-                *nearest = tap_y * source_width + tap_x;
-            }
-        }
-    if (found > 0.0f) return found;
-
-    /* A surface that comes straight towards the camera: its depth changes without sideways motion. Believed where all
-       four taps agree among themselves, so that x' cannot have slipped off an edge. */
-    float low = INFINITY, high = -INFINITY;
-    for (int tap = 0; tap < 4; ++tap) {
-        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
-        if (!inside(tap_x, tap_y, source_width, source_height)) return -1.0f;
-        const float z = depth_prev[tap_y * source_width + tap_x];
-        if (!plausible(z, z_expected, DEPTH_CHANGE_MOST * z_expected)) return -1.0f;
-        low = fmin(low, z);
-        high = fmax(high, z);
-        sum += bilinear_weight(tap, u, v) * z;
-    }
-    *nearest = (u < 0.5f ? y0 * source_width + x0 : y0 * source_width + x0 + 1) + (v < 0.5f ? 0 : source_width);
-    return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
+    return weight_sum > 0.0f ? divide(sum, weight_sum) : -1.0f;
 }
 
 /* The rendered frame and the one before, and the results for dynamic fragments. */
@@ -452,13 +406,15 @@ INLINE void note_stir(const int first_x, const int last_x, const int src_y, __co
 /* Algorithm 1. For dynamic fragments, met_depth: 0 if invalid; history, for k > 2: k-1 planes of (P_i, 1), or (P_0,
    0) where P_i is unknown. Static fragments only take the test. last_stir: for each block the number of the last frame
    in which a pixel within STIR_REACH of it was not static, had no valid depth or, while the camera rests, another depth
-   than before. Colors are encoded, too, unless the camera rests: then ColorCode encodes those that are mixed. */
+   than before. After a reset no steps of motion are known. Colors are encoded, too, unless the camera rests: then
+   ColorCode encodes those that are mixed. */
 WIDE __kernel void track_history(__constant Frame *restrict frame, __global const float *depth,
                                  __global const float2 *motion, __global const float *depth_prev,
                                  __global const uchar *dynamic_prev, __global const float4 *history_prev,
                                  __global const float *threshold_squared, __global const float *quantization_error,
                                  __global const half *color, __global uchar *dynamic_mask, __global float *met_depth,
-                                 __global float4 *history, __global int *last_stir, __global half *codes) {
+                                 __global float4 *history, __global int *last_stir, __global half *codes,
+                                 __global float *motion_steps) {
     const Frames frames = {depth, depth_prev, motion, dynamic_prev, history_prev, met_depth, history};
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous && frame->motion;
@@ -466,6 +422,7 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);
+    for (int c = 0; !has_previous && src == 0 && c < STEP_CLASSES; ++c) motion_steps[c] = 0.0f;
     Ints moves = 0, may_stay = 0, stirs = 0;
     Floats z = 0.0f, mv_x = 0.0f, mv_y = 0.0f;
     if (has_previous) { /* before colors are encoded, so that GPUs need not wait for both */

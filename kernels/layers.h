@@ -8,8 +8,6 @@
 #define STEP 0.05f           /* relative step of inverse depth between two layers */
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
 #define AT_EDGE 0.05f        /* weight of colors at edges, which may be mixed, too */
-/* TOO_ALIKE: squared relative contrast of two layers below which colors only partly determine the coverage */
-#define TOO_ALIKE 0.03125f
 
 #define SHARES 255.0f         /* of a pixel, stored as a byte */
 
@@ -81,11 +79,10 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
 }
 
 /* The nearer layer's share of pixels, and the color of the covered surface: where a pixel's color lies between the
-   mean colors of both layers around, as far as these differ; else from the pixels that each layer has. */
+   mean colors of both layers around. */
 INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links,
                   Floats *behind, Floats *share) {
     Strip near_sum, far_sum;
-    Floats near_area = 0.0f, area = 0.0f;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) near_sum.part[part] = far_sum.part[part] = (Texels)(0.0f);
 #pragma unroll
@@ -102,8 +99,6 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __g
             near_sum.part[part] += OF_TEXELS(near_weight, part) * c.part[part];
             far_sum.part[part] += OF_TEXELS(far_weight, part) * c.part[part];
         }
-        near_area += is_near ? weight : (Floats)(0.0f);
-        area += weight;
     }
     const Ints is_near = d->z[4] < d->middle;
     Strip own_strip;
@@ -128,9 +123,7 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __g
         along += (own[c] - far[c]) * scale * relative;
     }
     const Floats low = is_near ? (Floats)(0.5f) : (Floats)(0.0f);
-    const Floats by_color = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.0f);
-    const Floats trust = fmin(squared * (1.0f / TOO_ALIKE), 1.0f);
-    const Floats coverage = trust * by_color + (1.0f - trust) * wide_divide(near_area, area);
+    const Floats coverage = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.5f);
 #pragma unroll
     for (int c = 0; c < 3; ++c) behind[c] = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
     *share = coverage;

@@ -1,7 +1,7 @@
 /* Warp (paper: 'Warping', with crack closing and resampling). A fragment covers, in the target image, the
    parallelogram to which its own pixel maps; the nearest fragment keeps a target pixel, ties go to the smallest
    source index. Blocks that show one smooth surface (backward_blocks.cl) are neither splatted nor searched: their
-   pixels find the fragment by the inverse of the block's flow. */
+   pixels come from the places that the inverse of the block's flow gives. */
 
 #include "frame.h"
 #include "resampling.h"
@@ -280,24 +280,6 @@ INLINE void resolve_found(const Fragments from, const Rendered shown, const Foun
                  (floor(at.x.here) == center_x - 0.5f) & (floor(at.y.here) == center_y - 0.5f));
 }
 
-/* The places where LANES pixels of a block come from, by the inverse of its flow: `source` is find_source's of
-   backward_blocks.cl. */
-INLINE Floats px_from_block(const float8 source, const int dst_x, const int dst_y, Floats *px_y) {
-    const Floats from_x = row_centers(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
-    const float from_y = (float)(dst_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;
-    *px_y = source.s1 + source.s4 * from_x + source.s5 * from_y;
-    return source.s0 + source.s2 * from_x + source.s3 * from_y;
-}
-
-/* The fragments at those places. */
-INLINE void found_in_block(const Fragments from, const float8 source, const int dst_x, const int dst_y, Found *won) {
-    Floats px_y;
-    const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
-    won->x = clamp(to_ints(floor(px_x)), (Ints)(2), (Ints)(from.width - 3));
-    won->y = clamp(to_ints(floor(px_y)), (Ints)(2), (Ints)(from.height - 3));
-    won->exist = won->smooth = ALL_LANES;
-}
-
 /* The fragments that were splatted nearest. A block at the image's border may only be smooth if it is RESTING. A place
    a whole pixel to the right or down of a fragment has taps three pixels from it. */
 INLINE void found_by_splatting(const Fragments from, __global const Key *keys, __global const uint *winners,
@@ -316,12 +298,15 @@ INLINE void found_by_splatting(const Fragments from, __global const Key *keys, _
     won->smooth = exist & (smooth != 0) & ((smooth != RESTING) | inner) & has_taps;
 }
 
-/* LANES pixels, but for their color, of a block in which that is exact. */
-INLINE void resolve_affine(const Fragments from, const Rendered shown, const NewFrame to, const float8 source,
-                           const int dst_x, const int dst_y, Samples *samples) {
+/* LANES pixels of a block, but for their color, from the places where they come from by the inverse of its flow:
+   `source` is find_source's of backward_blocks.cl. */
+INLINE void resolve_block(const Fragments from, const Rendered shown, const NewFrame to, const float8 source,
+                          const int dst_x, const int dst_y, Samples *samples) {
     const int dst = dst_y * from.target_width + dst_x;
-    Floats px_y;
-    const Floats px_x = px_from_block(source, dst_x, dst_y, &px_y);
+    const Floats from_x = row_centers(dst_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
+    const float from_y = (float)(dst_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;
+    const Floats px_x = source.s0 + source.s2 * from_x + source.s3 * from_y;
+    const Floats px_y = source.s1 + source.s4 * from_x + source.s5 * from_y;
     const Ints src_x = clamp(to_ints(px_x), (Ints)(2), (Ints)(from.width - 3));
     const Ints src_y = clamp(to_ints(px_y), (Ints)(2), (Ints)(from.height - 3));
     const Floats src_center_x = to_floats(src_x) + 0.5f, src_center_y = to_floats(src_y) + 0.5f;
@@ -332,12 +317,9 @@ INLINE void resolve_affine(const Fragments from, const Rendered shown, const New
 
     Cross z;
     load_cross(from.target_position + 2 * from.plane, from.width, places, &z);
-    Ints level_x = isinf(z.here), level_y = level_x;
-    if (source.s7 == FLOW_RIGID) {
-        const Ints bits = to_ints(bytes_at(from.links, places));
-        level_x |= (bits & (LINK_LEFT | LINK_RIGHT)) != (LINK_LEFT | LINK_RIGHT);
-        level_y |= (bits & (LINK_UP | LINK_DOWN)) != (LINK_UP | LINK_DOWN);
-    }
+    const Ints bits = to_ints(bytes_at(from.links, places));
+    const Ints level_x = isinf(z.here) | ((bits & (LINK_LEFT | LINK_RIGHT)) != (LINK_LEFT | LINK_RIGHT));
+    const Ints level_y = isinf(z.here) | ((bits & (LINK_UP | LINK_DOWN)) != (LINK_UP | LINK_DOWN));
     const Floats across = level_x ? (Floats)(0.0f) : (z.right - z.left) * 0.5f,
                  down = level_y ? (Floats)(0.0f) : (z.down - z.up) * 0.5f;
     const Floats out_z = z.here + across * dx + down * dy;
@@ -401,8 +383,6 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
     const bool is_pixel = dst_x < target_width && dst_y < target_height;
     const int block = is_pixel ? block_of(dst_x, dst_y, target_width) : 0;
     const uchar class = block_class[block];
-    const bool backward = class == BACKWARD;
-    const float8 source = backward ? block_source[block] : (float8)(0.0f);
     Ints left = (Ints)(0); /* lanes that are left open */
     if (frame->far_side && !frame->stays)
         find_border_lines(get_global_id(1) * get_global_size(0) + get_global_id(0),
@@ -413,13 +393,10 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
         const int count = target_width - dst_x;
         Found won = {.exist = ALL_LANES};
         Samples samples = {0};
-        if (backward && (source.s7 == FLOW_AFFINE || source.s7 == FLOW_RIGID)) {
-            resolve_affine(from, shown, to, source, dst_x, dst_y, &samples);
+        if (class == BACKWARD) {
+            resolve_block(from, shown, to, block_source[block], dst_x, dst_y, &samples);
         } else {
-            if (backward)
-                found_in_block(from, source, dst_x, dst_y, &won);
-            else
-                found_by_splatting(from, keys, winners, source_smooth, dst, count, &won);
+            found_by_splatting(from, keys, winners, source_smooth, dst, count, &won);
             if (ANY(won.exist)) resolve_found(from, shown, won, to, dst_x, dst_y, count, &samples);
             left = !won.exist & (LANE_NUMBERS < count);
         }

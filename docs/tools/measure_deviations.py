@@ -91,9 +91,7 @@ GAE: dict[str, Change] = {
     ),
     "edges are as sharp as earlier frames were": Change({"sharpness": False}),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
-    "the surface met at x' is checked": Change(
-        constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
-    ),
+    "the surface met at x' is checked": Change(constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f"}}),
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={
@@ -104,7 +102,14 @@ GAE: dict[str, Change] = {
             },
         }
     ),
-    "nothing is collected beside movers and nearer surfaces": Change(constants={"connectivity.cl": {"GROW": "0"}}),
+    "nothing is collected beside movers and nearer surfaces": Change(
+        edits={
+            "connectivity.cl": {
+                "settled = (z > 0.0f) & (moving == 0)": "settled = z > 0.0f",
+                "clean = settled & !mixed": "clean = settled",
+            }
+        }
+    ),
     "fragments must be deeper by a margin (case 2)": Change(
         constants={"background.cl": {"BEHIND": "1.0f"}},
         edits={

@@ -80,6 +80,7 @@ class State(NamedTuple):
 
     dynamic: np.ndarray
     history: np.ndarray | None
+    steps: np.ndarray  # of quantized motion
     levels: list[dict]
     movers: tuple | None
 
@@ -152,6 +153,7 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
     before = State(
         pipeline.stages["history"].read("dynamic_mask"),
         read_history(pipeline),
+        pipeline.stages["history"].read("motion_steps").ravel(),
         read_levels(pipeline, past),
         read_movers(pipeline),
     )

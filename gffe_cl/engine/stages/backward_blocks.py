@@ -20,10 +20,8 @@ CLASSES = (
 )
 SMOOTHNESS = (
     (0, "not smooth"),
-    (_CONSTANTS["STRICT"], "one surface"),
-    (_CONSTANTS["LOOSE"], "surfaces that hardly move apart"),
-    (_CONSTANTS["RIGID"], "surfaces that do not move apart"),
-    (_CONSTANTS["RESTING"], "surfaces that stay in place"),
+    (_CONSTANTS["SMOOTH"], "smooth"),
+    (_CONSTANTS["RESTING"], "stays in place"),
 )
 
 

@@ -35,7 +35,6 @@ class Connectivity(NearestStage):
             {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask", "last_stir": "history.last_stir"},
             {"links": "connectivity.links"} | _COLLECTING,
             step=("LANES", 1),
-            group="GROUP",
         ),
     )
 

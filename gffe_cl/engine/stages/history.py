@@ -66,13 +66,15 @@ class HistoryTracking(Stage):
             _CLASSES,
             "once",
             "steps of quantized motion vectors by component and sign, px; 0: not quantized",
+            kept=True,
         ),
         BufferSpec(
             "quantization_error",
             np.float32,
             _CLASSES,
             "once",
-            "largest error of quantized motion vectors by component and sign, px; ε is added to it; 0: not quantized",
+            "largest error of quantized motion vectors by component and sign, px, by the steps of the frame before; ε"
+            " is added to it; 0: not quantized",
         ),
         BufferSpec(
             "residual_histogram",
@@ -80,7 +82,7 @@ class HistoryTracking(Stage):
             tuple(f"bin{b}" for b in range(_CONSTANTS["RESIDUAL_BINS"])),
             "once",
             "squared static residual, and its squared change over 8 px, two bins per octave; steps of motion by"
-            " component and sign, eight bins per octave",
+            " component and sign, eight bins per octave; squared excess over errors of one and of two vectors",
             planes=_CONSTANTS["HISTOGRAMS"],
         ),
         BufferSpec(
@@ -103,6 +105,7 @@ class HistoryTracking(Stage):
                 "motion": "rendered.motion",
                 "color_prev": "previous.color",
                 "depth_prev": "previous.depth",
+                "steps_prev": "history.motion_steps'",
                 "pending": "history.pending",
             },
             {
@@ -111,22 +114,6 @@ class HistoryTracking(Stage):
                 "histogram": "history.residual_histogram",
                 "threshold_squared": "history.static_threshold_squared",
                 "motion_steps": "history.motion_steps",
-            },
-            step=("LANES", "RESIDUAL_ROWS"),
-            group="COUNT_GROUP",
-        ),
-        Kernel(
-            "refine_threshold",
-            "residuals",
-            {
-                "depth": "rendered.depth",
-                "motion": "rendered.motion",
-                "pending": "history.pending",
-                "motion_steps": "history.motion_steps",
-            },
-            {
-                "pending": "history.pending",
-                "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
             },
             step=("LANES", "RESIDUAL_ROWS"),
@@ -151,6 +138,7 @@ class HistoryTracking(Stage):
                 "history": "history.history",
                 "last_stir": "history.last_stir",
                 "codes": "color_code.codes",
+                "motion_steps": "history.motion_steps",
             },
             step=("LANES", 1),
         ),
@@ -193,5 +181,4 @@ class HistoryTracking(Stage):
         """Run Algorithm 1. Without a previous frame, or without motion estimation, everything is static."""
         if self.automatic and step.previous is not None:
             self.measure(step)
-            self.launch("refine_threshold", step)
         self.launch("track_history", step)

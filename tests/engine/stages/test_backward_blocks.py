@@ -32,8 +32,8 @@ def both(device, source, options, size, target, to, time):
 
 
 def assert_same_picture(with_blocks, without):
-    """Holes are equal, and most pixels that the warp makes: at edges whose sides hardly move apart the other side may
-    be shown, by as little as these sides move apart."""
+    """Holes are equal, and nearly so most pixels that the warp makes: blocks are linear, and at edges whose sides
+    hardly move apart the other side may be shown, by as little as these sides move apart."""
     read = [
         {spec.name: p.board.frame.read(spec.name) for spec in p.board.frame.buffers} for p in (with_blocks, without)
     ]
@@ -46,11 +46,11 @@ def assert_same_picture(with_blocks, without):
         other = ~np.isclose(read[0]["depth"], read[1]["depth"], rtol=0.02)
     other |= read[0]["dynamic"] != read[1]["dynamic"]
     assert other.mean() < 0.015, f"{other.sum()} pixels"
-    motion = np.abs(read[0]["motion"] - read[1]["motion"]).max(-1)
-    assert motion.max() < 3 * BLOCKS.LOOSE_MOST
+    motion = np.abs(read[0]["motion"] - read[1]["motion"]).max(-1)[~other]
+    assert motion.max() < 4 * BLOCKS.LINEAR_MOST and (motion > BLOCKS.LINEAR_MOST).mean() < 0.01
     color = [np.minimum(r["color"][..., :3].astype(np.float32), 1) for r in read]
-    differ = (motion > 1 / 512) | (np.abs(color[0] - color[1]).max(-1) > 1e-3)
-    assert (differ & ~other).mean() < 2e-3, f"{(differ & ~other).sum()} pixels"
+    differ = np.abs(color[0] - color[1]).max(-1)[~other] > 0.01
+    assert differ.mean() < 2e-3, f"{differ.sum()} pixels"
 
 
 @pytest.mark.parametrize(("size", "target"), SIZES, ids=["plain", "larger", "smaller", "tiny"])
@@ -62,7 +62,7 @@ def test_classes_and_results(device, scene, size, target):
     stages = pipelines[0].stages
     zoom = np.array([to.fx / seen[-1].camera.fx, to.fy / seen[-1].camera.fy], np.float32)
     position, links = stages["prediction"].read("target_position"), stages["connectivity"].read("links")
-    smooth, boxes = twins.smooth_blocks(position, seen[-1].depth, links, zoom)
+    smooth, boxes = twins.smooth_blocks(position, zoom)
     assert np.array_equal(stages["backward_blocks"].read("smooth"), smooth)
     classes = stages["backward_blocks"].read("block_class")
     expected = twins.block_classes(smooth, boxes, position, seen[-1].depth, links, zoom, pipelines[0].sizes.target)
@@ -107,8 +107,6 @@ def test_blocks_with_an_affine_flow(device):
     # Without stages that lend memory, so that nothing takes the place of what the blocks say.
     options = {"levels": 0, "acceleration": False, "soft_silhouettes": False, "shading_correction": False}
     pipelines = both(device, seen, options, size, None, to, seen[-1].time + 0.02)
-    affine = pipelines[0].stages["backward_blocks"].read("block_source")[..., 7]
     backward = pipelines[0].stages["backward_blocks"].read("block_class") == 1
-    assert backward.mean() > 0.7 and np.isin(affine[backward], (BLOCKS.FLOW_AFFINE, BLOCKS.FLOW_RIGID)).all()
-    assert (affine[backward] == BLOCKS.FLOW_RIGID).any()
+    assert backward.mean() > 0.7
     assert_same_picture(*pipelines)

@@ -16,7 +16,6 @@ OPTIONS = Options(shading_correction=False)
 # Kernels in which several work-groups change one place, by atomics, or append to one list.
 SHARING = (
     "measure_samples",
-    "refine_threshold",
     "measure_sharpness",
     "find_reach",
     "splat",

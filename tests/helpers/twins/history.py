@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import INF, F, centers, invalid, kernel_constants, move, reproject, unproject
+from twins.common import F, centers, invalid, kernel_constants, move, reproject, unproject
 from twins.warp import _shifted
 
 HISTORY = kernel_constants("history.cl")
@@ -45,9 +45,10 @@ def _residuals(depth, motion, to_previous):
     return residual, use, sampled
 
 
-def residual_histogram(depth, motion, to_previous):
-    """Return (6, 64) int32: of the squared residual, of its squared change over 8 px diagonally, and of the steps of
-    motion over that distance, by component and sign."""
+def residual_histogram(depth, motion, to_previous, steps=EXACT):
+    """Return (8, 64) int32: of the squared residual, of its squared change over 8 px diagonally, of the steps of motion
+    over that distance, by component and sign, and of the squared excess over the errors of one and of two vectors by
+    `steps`, (4,), of the frame before."""
     residual, use, sampled = _residuals(depth, motion, to_previous)
     bins, apart = HISTORY.RESIDUAL_BINS, HISTORY.SCATTER_DISTANCE
     near, near_use = _shifted(residual, apart, apart, np.nan), _shifted(use, apart, apart, False)
@@ -66,6 +67,10 @@ def residual_histogram(depth, motion, to_previous):
     for component in (0, 1):
         for of_class in (positive[:, component], negative[:, component]):
             counts.append(np.bincount(which[:, component][of_class], minlength=bins))
+    of, quantized = sampled & use, steps.any()
+    for k in range(1, HISTORY.LOOKUPS + 1):
+        excess = beyond(residual[of], motion[of], F(0.5 * k) * steps)
+        counts.append(_counts(excess) if quantized else np.zeros(bins, int))
     return np.stack(counts).astype(np.int32)
 
 
@@ -109,7 +114,7 @@ def _step(counts):
 
 def motion_steps(histogram, threshold_squared):
     """Return (4,) float32: steps of motion in x, of negative motion in x, in y, of negative motion in y; px, or 0."""
-    steps = [_step(counts) for counts in histogram[2:]]
+    steps = [_step(counts) for counts in histogram[2:6]]
     known = [step for step in steps if step > 0]
     if not known or threshold_squared <= max(F(HISTORY.THRESHOLD_LOW) ** 2, F(0.140625) * min(known) * min(known)):
         return np.zeros(4, F)
@@ -127,32 +132,26 @@ def beyond(residual, motion, error):
         return np.where(excess < 0, F(0), excess)
 
 
-def refined_threshold(depth, motion, to_previous, steps):
-    """Return ε² beside errors of quantization, and these errors (4,), of as many vectors as were added."""
-    residual, use, sampled = _residuals(depth, motion, to_previous)
-    residual, motion = residual[use & sampled], motion[use & sampled]
-    least = F(HISTORY.QUANTIZED_LOW) ** 2
+def static_threshold(depth, motion, to_previous, steps=EXACT):
+    """Return the automatic threshold: ε², px², (4,) errors of quantization beside it, px, by `steps` of the frame
+    before, and the steps of this one."""
+    histogram = residual_histogram(depth, motion, to_previous, steps)
+    threshold = noise_threshold_squared(histogram)
+    found = motion_steps(histogram, threshold)
+    if not steps.any():
+        return threshold, EXACT, found
+    least, excess = F(HISTORY.QUANTIZED_LOW) ** 2, histogram[6:]
     low = next(b for b in range(HISTORY.RESIDUAL_BINS) if _start(b) >= least)
-    errors = [F(0.5) * F(k) * steps for k in range(1, HISTORY.LOOKUPS + 1)]
-    counts = [_counts(beyond(residual, motion, error)) for error in errors]
     added = 0
-    while added + 1 < len(counts) and 40 * (counts[added] - counts[added + 1])[low:].sum() > len(residual):
+    while added + 1 < len(excess) and 40 * (excess[added] - excess[added + 1])[low:].sum() > excess[0].sum():
         added += 1
-    counts = counts[added]
+    counts = excess[added]
     first = _quantile_bin(counts, 0.1)
     while first + 1 < len(counts) and _start(first + 1) <= least:
         first += 1
     last = _end(counts, first, counts[: first + 1].sum(), 0.005)
     epsilon = least if last == first else min(_start(last + 1), F(HISTORY.CAMERA_ERROR) ** 2)
-    return F(epsilon), errors[added]
-
-
-def static_threshold(depth, motion, to_previous):
-    """Return the automatic threshold: ε², px², and (4,) errors of quantization beside it, px."""
-    histogram = residual_histogram(depth, motion, to_previous)
-    threshold = noise_threshold_squared(histogram)
-    steps = motion_steps(histogram, threshold)
-    return refined_threshold(depth, motion, to_previous, steps) if steps.any() else (threshold, EXACT)
+    return F(epsilon), F(0.5 * (added + 1)) * steps, found
 
 
 def _depth_met(px, expected, tolerance, depth_prev):
@@ -178,33 +177,7 @@ def _depth_met(px, expected, tolerance, depth_prev):
         weights = weights + weight
         if weight > heaviest:
             heaviest, nearest = weight, y * width + x
-    if weights > 0:
-        return total / weights, nearest
-    found, closest = F(-1), INF
-    xc, yc = int(np.floor(px[0])), int(np.floor(px[1]))
-    around = range(-HISTORY.SEARCH_RADIUS, HISTORY.SEARCH_RADIUS + 1)
-    for y in (yc + k for k in around):
-        for x in (xc + k for k in around):
-            if not (0 <= x < width and 0 <= y < height):
-                continue
-            dx, dy = F(x + 0.5) - px[0], F(y + 0.5) - px[1]
-            distance = dx * dx + dy * dy
-            if distance < closest and plausible(depth_prev[y, x]):
-                closest, found, nearest = distance, depth_prev[y, x], y * width + x
-    if found > 0:
-        return found, nearest
-    taps = []
-    for tap in range(4):
-        x, y = x0 + (tap & 1), y0 + (tap >> 1)
-        if not (0 <= x < width and 0 <= y < height):
-            return F(-1), nearest
-        z = depth_prev[y, x]
-        if not (z > 0 and not np.isinf(z) and abs(z - expected) <= HISTORY.DEPTH_CHANGE_MOST * expected):
-            return F(-1), nearest
-        taps.append(z)
-        total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * z
-    nearest = (y0 + (v >= 0.5)) * width + x0 + (u >= 0.5)
-    return (total if max(taps) - min(taps) <= HISTORY.DEPTH_TOLERANCE * min(taps) else F(-1)), nearest
+    return (total / weights if weights > 0 else F(-1)), nearest
 
 
 def fixed_to_camera(depth, motion, moves, z_static, to_previous, depth_prev):

@@ -10,9 +10,8 @@ from twins.warp import codes_of
 
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")
-STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, TOO_ALIKE, SHARPER = (
-    F(CONSTANTS[name])
-    for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "TOO_ALIKE", "SHARPER")
+STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, SHARPER = (
+    F(CONSTANTS[name]) for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "SHARPER")
 )
 FAR, NEAR, MARKED = CONSTANTS["FAR"], CONSTANTS["NEAR"], CONSTANTS["MARKED"]
 AROUND = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
@@ -76,21 +75,18 @@ def mark_blocks(layer, target_position, size):
 
 
 def unmixed(color, depth, links, x, y, near_by, middle):
-    sums, areas = np.zeros((2, 4), F), np.zeros(2, F)
+    sums = np.zeros((2, 4), F)
     for u, v, dx, dy in near_by:
         if depth[v, u] > 0:
             side = int(depth[v, u] < middle)
             sums[side] += tent(dx, dy) * (F(1) if links[v, u] == 15 else AT_EDGE) * np.append(color[v, u], F(1))
-            areas[side] += tent(dx, dy)
     far, near = (s[:3] * (F(1) / s[3]) for s in sums)
     is_near, own, contrast = depth[y, x] < middle, color[y, x], near - far
     scale = F(1) / (F(1e-4) + max(near.max(), far.max()))
     relative, offset = contrast * scale, (own - far) * scale
     squared, along = (relative * relative).sum(), (offset * relative).sum()
     low, high = (F(0.5), F(1)) if is_near else (F(0), F(0.5))
-    by_color = np.clip(along / squared, low, high) if squared > 0 else F(0)
-    trust = min(squared * (F(1) / TOO_ALIKE), F(1))
-    coverage = trust * by_color + (F(1) - trust) * (areas[1] / areas.sum())
+    coverage = np.clip(along / squared, low, high) if squared > 0 else F(0.5)
     return np.append(far if is_near else np.maximum(own - coverage * contrast, 0), coverage)
 
 

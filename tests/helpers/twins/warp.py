@@ -34,28 +34,29 @@ def _shifted(image, dx, dy, fill):
 
 
 def link_surfaces(depth, dynamic):
-    with np.errstate(all="ignore"):
-        w = np.where(invalid(depth), F(-1), np.where(np.isinf(depth), F(0), F(1) / depth)).astype(F)
     links = np.zeros(depth.shape, np.uint8)
+
+    def is_plane(a2, a, b, most):
+        off = np.abs((a2 - a) * b - (a - b) * a2)
+        return (a2 > 0) & (a2 < INF) & (off < SURFACES.SURFACE_CURVATURE * most * a2)
+
     for bit, (dx, dy) in enumerate(_STEPS):
-        a2, a = _shifted(w, -dx, -dy, -1), w
-        b, b2 = _shifted(w, dx, dy, -1), _shifted(w, 2 * dx, 2 * dy, -1)
-        size = np.maximum(a, b)
-        near = np.abs(a - b) <= SURFACES.SURFACE_STEP * size
-        near |= (a2 > 0) & (np.abs((a - a2) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
-        near |= (b2 > 0) & (np.abs((b2 - b) - (b - a)) <= SURFACES.SURFACE_CURVATURE * size)
-        sky = (a == 0) | (b == 0)
-        same = (a >= 0) & (b >= 0) & np.where(sky, a == b, near)
+        a2, a = _shifted(depth, -dx, -dy, np.nan), depth
+        b, b2 = _shifted(depth, dx, dy, np.nan), _shifted(depth, 2 * dx, 2 * dy, np.nan)
+        with np.errstate(all="ignore"):
+            most = np.where(a > b, a, b)
+            near = np.abs(a - b) <= SURFACES.SURFACE_STEP * most
+            near |= is_plane(a2, a, b, most) | is_plane(b2, b, a, most)
+            same = (a > 0) & (b > 0) & np.where(most < INF, near, a == b)
         links |= (same & (_shifted(dynamic, dx, dy, 2) == dynamic)).astype(np.uint8) << bit
     return links
 
 
 def unmixed(depth, dynamic):
-    """Return (H, W) uint8: 1 where depth is valid and no pixel within 2 px is dynamic or nearer."""
+    """Return (H, W) uint8: 1 where depth is valid and no pixel of 3×3 is dynamic or nearer."""
     keep = ~invalid(depth)
-    around = range(-SURFACES.GROW, SURFACES.GROW + 1)
-    for dy in around:
-        for dx in around:
+    for dy in (-1, 0, 1):
+        for dx in (-1, 0, 1):
             with np.errstate(invalid="ignore"):
                 nearer = _shifted(depth, dx, dy, np.inf) < depth * SURFACES.MIXES_IN
             keep &= ~(_shifted(dynamic, dx, dy, 0) > 0) & ~nearer
@@ -116,10 +117,10 @@ def _deviation_from_linear(around):
     return np.abs(around - linear).max(), center, along, down
 
 
-def smooth_blocks(target_position, depth, links, zoom):
-    """Return (rows, columns) uint8: STRICT, LOOSE, RIGID or 0 of source blocks, and (rows, columns, 4): the boxes that
-    those with a value reach, in target pixels."""
-    height, width = depth.shape
+def smooth_blocks(target_position, zoom):
+    """Return (rows, columns) uint8: SMOOTH or 0 of source blocks, and (rows, columns, 4): the boxes that those with a
+    value reach, in target pixels."""
+    height, width = target_position.shape[:2]
     side_x, side_y, margin = BLOCKS.BLOCK_WIDTH, BLOCKS.BLOCK_HEIGHT, BLOCKS.MARGIN
     rows, columns = -(-height // side_y), -(-width // side_x)
     smooth, boxes = np.zeros((rows, columns), np.uint8), np.zeros((rows, columns, 4), F)
@@ -131,20 +132,15 @@ def smooth_blocks(target_position, depth, links, zoom):
         around = target_position[y0:y1, x0:x1]
         off_x, x, xx, yx = _deviation_from_linear(around[..., 0])
         off_y, y, xy, yy = _deviation_from_linear(around[..., 1])
-        z, z_source = (a[margin:-margin, margin:-margin] for a in (around[..., 2], depth[y0:y1, x0:x1]))
-        most = BLOCKS.STRETCH_HIGH
-        keeps = (z > 0) & (z_source <= most * z) & (z <= most * z_source)
-        flat = max(off_x, off_y) <= BLOCKS.LOOSE_MOST and keeps.all()
+        flat = max(off_x, off_y) <= BLOCKS.LINEAR_MOST
         for along, across, size in ((xx, yx, zoom[0]), (yy, xy, zoom[1])):
-            flat &= BLOCKS.STRETCH_LOW * size <= along <= most * size and abs(across) <= BLOCKS.SHEAR_MOST * size
+            flat &= BLOCKS.STRETCH_LOW * size <= along <= BLOCKS.STRETCH_HIGH * size
+            flat &= abs(across) <= BLOCKS.SHEAR_MOST * size
         if not flat:
             continue
-        off = max(off_x, off_y)
-        strict = off <= BLOCKS.STRICT_MOST and (links[y0:y1, x0:x1] == BLOCKS.ALL_LINKS).all()
-        smooth[by, bx] = BLOCKS.STRICT if strict else BLOCKS.RIGID if off <= BLOCKS.AFFINE_MOST else BLOCKS.LOOSE
-        most = BLOCKS.STRICT_MOST if strict else BLOCKS.LOOSE_MOST
+        smooth[by, bx] = BLOCKS.SMOOTH
         slopes = np.abs(np.array([(xx, yx), (xy, yy)], F))
-        half = F(0.5 * (side_x - 1)) * slopes[:, 0] + F(0.5 * (side_y - 1)) * slopes[:, 1] + most
+        half = F(0.5 * (side_x - 1)) * slopes[:, 0] + F(0.5 * (side_y - 1)) * slopes[:, 1] + BLOCKS.LINEAR_MOST
         half = half + np.maximum(WARP.FOOTPRINT_HALF * (slopes[:, 0] + slopes[:, 1]), BLOCKS.HALF_LEAST)
         boxes[by, bx] = *((x, y) - half), *((x, y) + half)
     return smooth, boxes
