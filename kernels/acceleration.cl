@@ -31,7 +31,7 @@
    */
 #define SPIN_SIZES 1.25f
 #define STILL_SPINS 2.0f /* ... or by this one where it did before ... */
-#define SPIN_LEAST 0.04f /* ... and are at least this share of its squared velocity */
+#define SPIN_LEAST 2.0f  /* px: ... and are at least so long: smaller ones may be errors */
 #define TURN_MOST 0.5f /* share of the acceleration: the more its change exceeds it, the less that counts */
 
 /* Mean values of a cell's fragments of one mover. */
@@ -198,9 +198,10 @@ INLINE bool is_carried(const Mover mover, const Past past, const int cell_x, con
 /* Whether a mover spins: accelerations of the last two intervals, alike but for their direction, are more than a
    quarter of a turn apart. With radius vectors q0, q1, q2 of the last three places, which turn by the same angle, the
    accelerations are -(1 - cos) q1 and -(1 - cos) q2, and q0 = 2 cos q1 - q2; *center is its center's velocity. */
-INLINE bool spins(const float3 velocity, const float3 found, const float3 before, const float sizes, float3 *center) {
+INLINE bool spins(const float3 velocity, const float3 found, const float3 before, const float sizes, const float px,
+                  float3 *center) {
     const float size = squared_length(found), size_before = squared_length(before), both = product_of(found, before);
-    if (!(both < 0.0f && size > SPIN_LEAST * squared_length(velocity) && size < sizes * size_before
+    if (!(both < 0.0f && size > SPIN_LEAST * SPIN_LEAST * px * px && size < sizes * size_before
           && size_before < sizes * size))
         return false;
     const float cosine = divide(2.0f * both, size + size_before);
@@ -254,7 +255,8 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
         share = lasted(now, found, before);
         later = carried_on(found, before);
         float3 center;
-        if (spins(now, found, before, past.weight_spun > 0.5f * past.weight ? STILL_SPINS : SPIN_SIZES, &center)) {
+        const float px = mover.depth * frame->to_previous.source_inverse.x;
+        if (spins(now, found, before, past.weight_spun > 0.5f * past.weight ? STILL_SPINS : SPIN_SIZES, px, &center)) {
             acceleration[cell] = packed(found, 0.0f);
             bend[cell] = packed(center, -1.0f);
             return;
