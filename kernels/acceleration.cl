@@ -2,10 +2,10 @@
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
    only as much of it counts as there was an interval before, and a share where that is not known; more where the mover
-   slows down. On arcs acceleration turns: its own change goes on, too. What turns by more than a quarter in an interval,
-   as wheels do, moves on as its center does. Cells without a mover are skipped. Some movers are carried by the camera,
-   as wipers and hands are: where velocity in view space has changed less since the frame before than that in the world,
-   here and around, velocity and acceleration go on in view space. */
+   slows down. On arcs acceleration turns: its own change goes on, too. What turns by more than a quarter in an
+   interval, as wheels do, moves on as its center does. Cells without a mover are skipped. Some movers are carried by
+   the camera, as wipers and hands are: where velocity in view space has changed less since the frame before than that
+   in the world, here and around, velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
@@ -28,7 +28,7 @@
    its distance: without a shake both spaces fit */
 #define SHAKEN 0.004f
 /* SPIN_SIZES: what spins has squared accelerations that differ by at most this factor from one interval to the next ...
-   */
+ */
 #define SPIN_SIZES 1.25f
 #define STILL_SPINS 2.0f /* ... or by this one where it did before ... */
 #define SPIN_LEAST 2.0f  /* px: ... and are at least so long: smaller ones may be errors */
@@ -175,24 +175,10 @@ INLINE float2 changes(const Mover mover, const Past past, __constant Frame *fram
                     squared_length(mover.velocity - was));
 }
 
-/* Whether the camera carries the mover of a cell. */
-INLINE bool is_carried(const Mover mover, const Past past, const int cell_x, const int cell_y,
-                       __constant Frame *frame, const Tracked f, const Grid grid, const int level_width,
-                       const int level_height) {
-    const float2 own = changes(mover, past, frame);
-    if (past.was_carried) return own.x < STILL_IN_VIEW * own.y;
+/* Whether the cells around must be asked if the camera carries a mover, by its own `changes`. */
+INLINE bool leans(const Mover mover, const Past past, const float2 own, __constant Frame *frame) {
     const float shaken = SHAKEN * mover.depth;
-    if (!(own.x < LEANS * own.y && own.y > shaken * shaken)) return false;
-    float2 all = own;
-    for (int k = 0; k < 9; ++k) {
-        const int x = cell_x + (k % 3 - 1) * AROUND, y = cell_y + (k / 3 - 1) * AROUND;
-        if (k == 4 || !inside(x, y, level_width, level_height)) continue;
-        const Mover other = mover_of_cell(x, y, frame, f);
-        if (!(other.depth > 0.0f) || !is_of_cell(other.depth, mover.depth)) continue;
-        const Past its_past = past_of(other, level_width, level_height, grid);
-        if (its_past.weight > 0.0f) all += changes(other, its_past, frame);
-    }
-    return all.x < (own.x < IN_VIEW * own.y ? LEANS : IN_VIEW_AROUND) * all.y;
+    return frame->camera_fixed && !past.was_carried && own.x < LEANS * own.y && own.y > shaken * shaken;
 }
 
 /* Whether a mover spins: accelerations of the last two intervals, alike but for their direction, are more than a
@@ -211,8 +197,9 @@ INLINE bool spins(const float3 velocity, const float3 found, const float3 before
 
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
    where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it
-   has added alpha (alpha + 1) of it; its trust is -1 where the mover spins, and it is its center's velocity. view_velocity: in view space, and 1 where the camera carries the mover:
-   acceleration and bend are of view space there. `ratio`: of the last two intervals. */
+   has added alpha (alpha + 1) of it; its trust is -1 where the mover spins, and it is its center's velocity.
+   view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are of view space
+   there. `ratio`: of the last two intervals. */
 SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __global const float *depth,
                                         __global const float2 *motion, __global const uchar *dynamic_mask,
                                         __global const float *met_depth, __global const float4 *velocity_prev,
@@ -228,19 +215,35 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
-    const Mover mover = mover_of_cell(cell_x, cell_y, frame, fragments);
-    velocity[cell] = (float4)(mover.velocity, mover.depth);
+    velocity[cell] = (float4)(0.0f);
     acceleration[cell] = packed((float3)(0.0f), -1.0f);
-    bend[cell] = packed((float3)(0.0f), 0.0f);
+    bend[cell] = view_velocity[cell] = packed((float3)(0.0f), 0.0f);
+    Mover mover;
+    Past past;
+    float2 own = (float2)(0.0f), all = (float2)(0.0f); /* changes: of this cell, and with those around */
+    float depth_here = 0.0f;
+    int asked = 0;
+    for (; asked < 10;
+         ++asked) { /* this cell; where it leans, the eight around, and it again: few registers stay in use */
+        const int place = (asked + 4) % 9;
+        const int x = cell_x + (place % 3 - 1) * AROUND, y = cell_y + (place / 3 - 1) * AROUND;
+        if (!inside(x, y, level_width, level_height)) continue;
+        mover = mover_of_cell(x, y, frame, fragments);
+        if (asked == 0) depth_here = mover.depth;
+        if (!(depth_here > 0.0f)) return;
+        if (!(mover.depth > 0.0f) || !is_of_cell(mover.depth, depth_here)) continue;
+        past = past_of(mover, level_width, level_height, grid);
+        const float2 change = past.weight > 0.0f ? changes(mover, past, frame) : (float2)(0.0f);
+        if (asked == 0) own = change;
+        if (asked < 9) all += change;
+        if (asked == 0 && !leans(mover, past, own, frame)) break;
+    }
+    velocity[cell] = (float4)(mover.velocity, mover.depth);
     view_velocity[cell] = packed(mover.view_velocity, 0.0f);
-    if (!(mover.depth > 0.0f)) return;
-
-    const Past past = past_of(mover, level_width, level_height, grid);
     if (!(past.weight > 0.0f)) return;
     float3 now = mover.velocity, was = ratio * rotate_to_target(past.velocity, frame->from_previous);
-    const bool carried =
-        frame->camera_fixed
-        && is_carried(mover, past, cell_x, cell_y, frame, fragments, grid, level_width, level_height);
+    const bool carried = asked > 0 ? all.x < (own.x < IN_VIEW * own.y ? LEANS : IN_VIEW_AROUND) * all.y
+                                   : frame->camera_fixed && past.was_carried && own.x < STILL_IN_VIEW * own.y;
     if (carried) {
         now = mover.view_velocity;
         was = ratio * past.view_velocity;

@@ -30,8 +30,8 @@ def effects_notes(clip: Clip, indices: list[int], exposure: float) -> list[Findi
 
 
 def moving_colors(frame: RenderedFrame, before: RenderedFrame, exposure: float) -> np.ndarray:
-    """Return (rows, columns) bool for blocks of `frame`: on one surface, which moves evenly and which the frame `before`
-    shows, and whose colors are found clearly elsewhere there than where motion vectors lead."""
+    """Return (rows, columns) bool for blocks of `frame`: on one surface, which moves evenly and which `before` shows,
+    and whose colors are found clearly elsewhere there than where motion vectors lead."""
     factor = max(1, -(-np.shape(frame.depth)[1] // _WIDTH))
     lights = (encoded(np.asarray(one.color)[..., :3], exposure).mean(-1) for one in (frame, before))
     here, there = (_boxes(light, factor) for light in lights)

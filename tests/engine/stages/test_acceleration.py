@@ -71,9 +71,7 @@ def test_kernel_equals_its_twin(case):
     turned = case.to_previous, case.from_previous
     mask, met = case.read("history", "dynamic_mask"), case.read("history", "met_depth")
     ratio = np.float32((time_of(3) - time_of(2)) / (time_of(2) - time_of(1)))
-    expected = twins.track_acceleration(
-        case.now.depth, motion, mask, met, *case.before.movers, ratio, *turned
-    )
+    expected = twins.track_acceleration(case.now.depth, motion, mask, met, *case.before.movers, ratio, *turned)
     assert np.array_equal(found[0][..., 3] > 0, expected[0][..., 3] > 0)
     assert np.array_equal(found[1][..., 3] < 0, expected[1][..., 3] < 0)
     assert (found[1][..., 3] > 0).mean() > 0.01

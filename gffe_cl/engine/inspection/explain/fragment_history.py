@@ -158,7 +158,7 @@ def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 
             )
             said.append(Step(moves_on, Link("velocity in view space", names.VIEW_VELOCITY)))
         if spins:
-            turned = "It spins: its acceleration turns by more than a quarter in an interval. So it moves on as its center."
+            turned = "It spins by more than a quarter of a turn in an interval. So it moves on as its center does."
             said.append(Step(turned, Link("acceleration", names.ACCELERATION)))
         if bend > 0:
             bent = f"{bend:.0%} of its acceleration counts too, by what the interval before shows of it."
