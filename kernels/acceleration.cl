@@ -144,6 +144,7 @@ INLINE Past past_of(const Mover mover, const int level_width, const int level_he
     const float per_px = 1.0f / (float)MOVER_CELL;
     const float fx = mover.px_prev.x * per_px - 0.5f, fy = mover.px_prev.y * per_px - 0.5f;
     const int x0 = (int)floor(fx), y0 = (int)floor(fy);
+#pragma unroll 1
     for (int tap = 0; tap < 4; ++tap) {
         const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * level_width + x;
         if (!inside(x, y, level_width, level_height)) continue;
