@@ -88,7 +88,7 @@ def test_options_that_prose_names_exist():
     others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
     others |= {"--from", "--no-deps"}  # of uvx and pip
     others |= {"--build", "--capture", *RENAMED}  # of CMake and the sample in C++; older names
-    others |= {"--sharpening", "--scheduler"}  # that the changelog has removed
+    others |= {"--sharpening", "--scheduler", "--gae", "--io"}  # that the changelog has removed
     others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
     known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
     for name, text in TEXTS.items():

@@ -5,7 +5,7 @@
                                                                        forest and a sequence: the same anywhere
 
 The other records: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`, and on a quiet machine
-`gffe bench --methods --json docs/measured/methods.json` and `gffe bench --io --json docs/measured/io.json`.
+`gffe bench --methods --json docs/measured/methods.json`.
 """
 
 from __future__ import annotations
@@ -16,7 +16,6 @@ import textwrap
 from collections.abc import Callable, Iterator
 from pathlib import Path
 
-import gpu_model
 from pages import DOCS, MEASURED, PICTURES, REPOSITORY, recorded, table, with_all
 from scatter import Point, scatter
 
@@ -54,25 +53,6 @@ def size_of_traffic() -> str:
     width, height = found["part"]
     whole = "×".join(map(str, found["size"]))
     return f"In {width}×{height} pixels of `{found['of']}`, {whole}, which are much like the rest."
-
-
-def io_table() -> str:
-    rows = []
-    for device in recorded("io")["devices"]:
-        for one in device["frames"]:
-            ways = ("upload", "zero_copy", "copy_in"), ("download", "mapped", "copy_out")
-            times = (" / ".join(f"{one[way]:.1f}" for way in direction) for direction in ways)
-            pixels = one["width"] * one["height"]
-            copied = " / ".join(f"{one[way] / pixels:.0f}" for way in ("copied", "zero_copied"))
-            where = _runtime(f"{device['device']} ({device['platform']})")
-            rows.append((where, one["color"], *times, f"**{one['ratio']:.2f}**", copied))
-    heads = (
-        "in: upload / zero-copy / plain copies, ms",
-        "out: download / mapped / plain copy, ms",
-        "ratio",
-        "written on the way in: upload / zero-copy, B/px",
-    )
-    return table(("on", "color", *heads), rows)
 
 
 _FAST = "GAE, preset `performance`"
@@ -149,7 +129,7 @@ def times_text() -> str:
     """Return the times of a frame of 1920×1080, for the README."""
     default, fast = (recorded(name)["devices"][0]["sizes"][0] for name in ("gpu", "gpu_performance"))
     gae, scn = (default["milliseconds"][part] for part in ("GAE", "SCN"))
-    wall, preset, computed = default["wall"], fast["milliseconds"]["GAE"], gpu_model.on_the_gpu("GAE")
+    wall, preset = default["wall"], fast["milliseconds"]["GAE"]
     rows = {name: _method(name) for name in ("gffe", "no-scn", "performance", PEER)}
     of_full, of_gae, of_preset, of_peer = (_milliseconds(row["milliseconds"]) for row in rows.values())
     less = {name: rows["gffe"]["psnr"] - row["psnr"] for name, row in rows.items()}
@@ -160,9 +140,7 @@ def times_text() -> str:
         f" {of_gae} ms without it, and {of_preset} ms with `--preset performance`, which gives"
         f" {less['performance']:.1f} dB less than the default on `plaza`. The cheapest"
         f" [other method](docs/performance.md#other-methods) takes {of_peer} ms, with"
-        f" {less[PEER]:.1f} dB less there. Computed for a GeForce RTX 4070 Ti Super"
-        f" ([the model](docs/performance.md#gpus-a-model)): {computed} ms of kernels without the network."
-        " `gffe bench --device gpu` measures yours."
+        f" {less[PEER]:.1f} dB less there. `gffe bench --device gpu` measures yours."
     )
 
 
@@ -178,9 +156,6 @@ TABLES: dict[str, Callable[[], str]] = {
     "memory": memory_table,
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
-    "model": gpu_model.model_table,
-    "model_assumptions": gpu_model.assumptions_table,
-    "io": io_table,
     "gpu": gpu_table,
     "methods_text": methods_text,
     "methods": methods_table,

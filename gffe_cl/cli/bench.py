@@ -30,7 +30,6 @@ if TYPE_CHECKING:
     from gffe_cl.engine.timing.bench import SizeBench
     from gffe_cl.engine.timing.footage import FrameLoop
     from gffe_cl.lab.bench.counting import KernelTraffic
-    from gffe_cl.lab.bench.io_times import IoTimes
 
 _SIZES = "960x540,1280x720,1920x1080,3840x2160"
 
@@ -74,14 +73,6 @@ def bench(
             " frames [dim](default size: 1920x1080)[/].",
         ),
     ] = False,
-    io: Annotated[
-        bool,
-        typer.Option(
-            "--io",
-            help="Host transfers: time NumPy arrays in and color out, next to plain copies of the same bytes"
-            " [dim](default size: 1920x1080)[/].",
-        ),
-    ] = False,
     host: Annotated[
         bool,
         typer.Option(
@@ -123,9 +114,7 @@ def bench(
     else:
         opened = [open_device(device, profiling=True)]
     asked = _Asked(opened, subject, parsed, frame, repeats, options)
-    if io:
-        report = _bench_io(asked)
-    elif host:
+    if host:
         report = _bench_host(asked)
     elif budget is not None:
         report = _bench_budget(asked, budget)
@@ -203,25 +192,6 @@ def _bench_methods(asked: _Asked) -> dict:
             reports.append(measure_methods(chosen, devices, asked.options, asked.repeats, steps(progress)))
         _print_methods(reports[-1])
     return {"sizes": reports}
-
-
-def _bench_io(asked: _Asked) -> dict:
-    from gffe_cl.lab.bench.counting import SIZE
-    from gffe_cl.lab.bench.io_times import FORMS, measure_io
-
-    report = []
-    for device in asked.devices:
-        results, name = [], ""
-        for size in asked.sizes_or(SIZE):
-            loop = asked.loop(device, size)
-            with progress_bars() as progress:
-                advance = steps(progress)(_label(device.info), len(FORMS) * asked.repeats)
-                results += measure_io(device, loop.frames[-1], asked.repeats, advance)
-            name = loop.name
-        _print_io(device.info, name, results)
-        figures = {"of": name, "repeats": asked.repeats, "frames": [asdict(result) for result in results]}
-        report.append(_named(device.info) | figures)
-    return {"devices": report}
 
 
 def _bench_host(asked: _Asked) -> dict:
@@ -348,23 +318,6 @@ def _print_methods(report: dict) -> None:
     out.print(psnrs)
     for name, reason in report["skipped"].items():
         out.print(plain(f"{name}: {reason}"))
-
-
-def _print_io(info: DeviceInfo, name: str, results: list[IoTimes]) -> None:
-    title = plain(f"{name}, {_label(info)}")
-    heads = "size", "upload", "zero-copy", "copies in", "download", "mapped", "copy out", "ratio", "copied, B/px"
-    table = Table("color, ms", *heads, title=title, box=None, header_style="bold")
-    for one in results:
-        parts = one.upload, one.zero_copy, one.copy_in, one.download, one.mapped, one.copy_out
-        times, pixels = (f"{ms:.2f}" for ms in parts), one.width * one.height
-        copied = f"{one.copied / pixels:.0f}, {one.zero_copied / pixels:.0f}"
-        table.add_row(one.color, f"{one.width}×{one.height}", *times, f"{one.ratio:.2f}", copied)
-    out.print(table)
-    out.print(
-        "Upload: color, depth and motion, converted and checked for bad pixels. Zero-copy: arrays used in place where"
-        " they can be. Download: color. Mapped: color, read where it is. Ratio: upload and download to plain copies of"
-        " the same bytes in the same turn, median. Copied: bytes written on the way in, by upload and with zero-copy."
-    )
 
 
 def _print_traffic(loop: FrameLoop, lanes: int, kernels: dict[str, KernelTraffic]) -> None:

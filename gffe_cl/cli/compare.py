@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 from rich.table import Table
@@ -19,11 +19,6 @@ from gffe_cl.cli.common import (
     warn,
     write_json,
 )
-from gffe_cl.engine.core.errors import GffeError
-
-if TYPE_CHECKING:
-    from gffe_cl.lab.compare import SequenceComparison
-    from gffe_cl.lab.metrics import Metric
 
 
 @app.command()
@@ -32,16 +27,7 @@ def compare(
     b: Annotated[Path, typer.Argument(help="Folder of the sequence with ground truth.")],
     mask: Annotated[
         str | None,
-        typer.Option(
-            help="Mask of the measured pixels: a channel of A that is not 0 there, such as mask.dynamic, or focus:"
-            " wrong shading."
-        ),
-    ] = None,
-    gae: Annotated[
-        Path | None,
-        typer.Option(
-            help="Folder of the same frames without shading correction (`gffe run --no-scn`), for --mask focus."
-        ),
+        typer.Option(help="Mask of the measured pixels: a channel of A that is not 0 there, such as mask.dynamic."),
     ] = None,
     fail_under: Annotated[
         float | None, typer.Option(help="Lowest mean PSNR for exit code 0, dB; below it the exit code is 1.")
@@ -54,15 +40,13 @@ def compare(
     from gffe_cl.lab.compare import compare as compare_sequences
     from gffe_cl.lab.metrics import measurable, missing_metrics
 
-    if gae is not None and mask != "focus":
-        raise GffeError("--gae goes with --mask focus")
-    first, second, third = open_capture(a), open_capture(b), None if gae is None else open_capture(gae)
-    for sequence in (first, second, third):
-        if sequence is not None and sequence.unfinished:
+    first, second = open_capture(a), open_capture(b)
+    for sequence in (first, second):
+        if sequence.unfinished:
             warn(sequence.warnings()[0])
     with progress_bars() as progress:
         advance = steps(progress)("Comparing", len(first.extrapolated))
-        result = compare_sequences(first, second, mask, lambda done, total: advance(), third)
+        result = compare_sequences(first, second, mask, lambda done, total: advance())
     metrics = measurable()
     table = Table("frame", *(metric.title for metric in metrics), box=None, header_style="bold")
     for frame in result.frames:
@@ -75,26 +59,8 @@ def compare(
     dim = f" ({left_out} frames without history left out)" if left_out else ""
     means = (metric.sentence(result.mean[metric.name]) for metric in metrics)
     out.print(f"[bold]mean[/]{dim}: {', '.join(means)}")
-    if result.regions:
-        _print_regions(result, metrics)
     for reason in missing_metrics():
         out.print(plain(reason))
     write_json(json_path, result.to_json())
     if fail_under is not None and not result.mean["psnr"] >= fail_under:
         raise typer.Exit(1)
-
-
-def _print_regions(result: SequenceComparison, metrics: list[Metric]) -> None:
-    """Print each metric without and with shading correction, and the gain, if `--gae` is given."""
-    heads = ("GAE", "final", "gain") if result.gae else ("",)
-    table = Table("all frames together", "share", "metric", *heads, box=None, header_style="bold")
-    for region, figures in result.regions.items():
-        name, share = region, f"{figures['share']:.2%}"
-        for metric in metrics:
-            cells = [metric.text(figures[metric.name])]
-            if result.gae:
-                before, gain = result.gae[region][metric.name], result.gain[region][metric.name]
-                cells = [metric.text(before), *cells, metric.text(gain, signed=True)]
-            table.add_row(name, share, metric.title, *cells)
-            name = share = ""
-    out.print(table)

@@ -15,7 +15,6 @@ from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
     app,
-    duration,
     input_file,
     out,
     progress_bars,
@@ -107,14 +106,13 @@ def train(
     with progress_bars() as bars, ExitStack() as stack:
         if not data_only:
             stack.enter_context(only_process(folder))
-        plan = _Plan(minutes, data_only, begun, bars.console.print)
+        if begun:
+            bars.console.print(f"going on with the {begun} clips that this run was started with")
+        started, limit = time.monotonic(), None if minutes is None else 60 * minutes
+        clips_until = None if limit is None or begun else started + (limit if data_only else limit / 3)
         task = bars.add_task("clips", total=wanted)
-
-        def on_clip(made: bool) -> None:
-            bars.advance(task)
-            plan.clip(made, wanted)
-
-        make_clips(data, open_device(device), seed, wanted, on_clip, plan.clips_until, _LEAST_CLIPS)
+        on_clip = lambda made: bars.advance(task)  # noqa: E731
+        make_clips(data, open_device(device), seed, wanted, on_clip, clips_until, _LEAST_CLIPS)
         if data_only:
             made = len(finished_clips(data, seed, wanted))
             out.print(
@@ -125,75 +123,12 @@ def train(
         count = complete_clips(data, seed, wanted)
         training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start)
         bars.update(task, description="steps", total=steps, completed=training.step)
-        plan.begin_steps(training.step, steps)
-
-        def on_step(progress) -> None:
-            bars.update(task, completed=progress.step)
-            plan.step(progress.step, steps)
-
-        done = training.run(plan.steps_until, on_step)
+        steps_until = None if limit is None else max(started + limit, time.monotonic() + limit / 3)
+        done = training.run(steps_until, lambda progress: bars.update(task, completed=progress.step))
     _export(training, folder, data, count, done, torch.__version__, json_path)
 
 
 _LEAST_CLIPS = 2  # to train on and to validate with
-_MEASURED_STEPS = 4
-
-
-class _Plan:
-    """Division of the time: a third for missing clips, and the rest, at least another third, for steps. Its result is
-    printed once measured.
-
-    `clips_until`, `steps_until`: values of `time.monotonic()`; None: no limit.
-    """
-
-    def __init__(self, minutes: float | None, data_only: bool, begun: int | None, say):
-        self.say, self.begun, self.minutes = say, begun, minutes
-        self.started = self.now = time.monotonic()
-        share = 1.0 if data_only else 1 / 3
-        self.clips_until = None if minutes is None or begun else self.started + 60 * share * minutes
-        self.steps_until: float | None = None
-        self.made = self.first_step = 0
-        if begun:
-            say(f"going on with the {begun} clips that this run was started with")
-        elif minutes is not None:
-            say(
-                f"clips: at most {duration(60 * share * minutes)}"
-                + ("" if data_only else ", then steps, then the model")
-            )
-
-    def clip(self, made: bool, wanted: int) -> None:
-        """Update the plan after a clip."""
-        self.made += made
-        if not made or self.made != _LEAST_CLIPS:
-            return
-        each = (time.monotonic() - self.started) / self.made
-        if self.clips_until is None:
-            self.say(f"clips: {each:.1f} s each, about {duration(each * wanted)} for {wanted}")
-        else:
-            possible = int((self.clips_until - self.started) / each)
-            self.say(
-                f"clips: {each:.1f} s each, about {max(_LEAST_CLIPS, min(possible, wanted))} of {wanted} in this time"
-            )
-
-    def begin_steps(self, done: int, steps: int) -> None:
-        self.now, self.first_step = time.monotonic(), done
-        if self.minutes is None:
-            self.say(f"steps: {steps - done:,} of {steps:,} to go, until all are done")
-            return
-        self.steps_until = max(self.started + 60 * self.minutes, self.now + 20 * self.minutes)
-        self.say(f"steps: {steps - done:,} of {steps:,} to go, for {duration(self.steps_until - self.now)}")
-
-    def step(self, done: int, steps: int) -> None:
-        """Update the plan after `done` steps."""
-        if done - self.first_step != _MEASURED_STEPS:
-            return
-        each = (time.monotonic() - self.now) / _MEASURED_STEPS
-        left = steps - self.first_step
-        if self.steps_until is None:
-            self.say(f"steps: {each:.2f} s each, about {duration(each * left)} for all")
-        else:
-            possible = min(left, int((self.steps_until - self.now) / each))
-            self.say(f"steps: {each:.2f} s each, about {possible:,} in this time")
 
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:

@@ -14,15 +14,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import is_shown_whole
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.presentation import present
-from gffe_cl.lab.metrics import (
-    FOCUS,
-    METRICS,
-    RegionErrors,
-    focus_mask,
-    measurable,
-    shading_regions,
-    to_display,
-)
+from gffe_cl.lab.metrics import METRICS, measurable, to_display
 
 NO_HISTORY = 2  # rendered frames after a reset, itself included, that are followed by no counted frame
 _THREADS = 2
@@ -41,31 +33,19 @@ class FrameScore:
 
 @dataclass
 class SequenceComparison:
-    """Scores of all matched frames, by time; `notes` are sentences about the means; `regions`, for the mask "focus",
-    figures pooled over the counted frames (`RegionErrors.figures`), and `gae`, those of the frames without shading
-    correction, where they were given."""
+    """Scores of all matched frames, by time; `notes` are sentences about the means."""
 
     frames: list[FrameScore]
     notes: list[str] = field(default_factory=list)
-    regions: dict[str, dict[str, float]] = field(default_factory=dict)
-    gae: dict[str, dict[str, float]] = field(default_factory=dict)
 
     @property
     def mean(self) -> dict[str, float]:
         """The mean of every metric by name, over the counted frames where it is defined; NaN where there are none."""
         return {name: self._mean(name) for name in METRICS}
 
-    @property
-    def gain(self) -> dict[str, dict[str, float]]:
-        """The improvement of the frames over `gae`, by region and metric."""
-        return {
-            region: {name: metric.gain(before[name], self.regions[region][name]) for name, metric in METRICS.items()}
-            for region, before in self.gae.items()
-        }
-
     def to_json(self) -> dict:
         """Return {"mean": {"psnr", "ssim", …}, "frames": [{"time", "file", "truth", "psnr", "ssim", …, "counted"},
-        …]}, and "notes", "regions", "gae" and "gain" if there are any. Undefined or unavailable values are null."""
+        …]}, and "notes" if there are any. Undefined or unavailable values are null."""
         document = {
             "mean": _nulls(self.mean),
             "frames": [
@@ -75,9 +55,6 @@ class SequenceComparison:
                 for frame in self.frames
             ],
         }
-        for name in ("regions", "gae", "gain"):
-            if figures := getattr(self, name):
-                document[name] = {region: _nulls(values) for region, values in figures.items()}
         return {**document, "notes": list(self.notes)} if self.notes else document
 
     def _mean(self, name: str) -> float:
@@ -91,7 +68,6 @@ class _Pair:
     entry: FrameEntry  # of A; a rendered one for the baseline
     truth: FrameEntry
     counted: bool
-    gae: FrameEntry | None = None  # of the sequence without shading correction
 
 
 def compare(
@@ -99,7 +75,6 @@ def compare(
     b: Sequence,
     mask: str | None = None,
     progress: Callable[[int, int], None] | None = None,
-    gae: Sequence | None = None,
 ) -> SequenceComparison:
     """Compare the extrapolated frames of `a` with the ground truth of `b`, and return their scores.
 
@@ -110,12 +85,9 @@ def compare(
     Parameters
     ----------
     mask : str or None
-        A channel of `a`'s frames: metrics are over the pixels where it is not 0. "focus" means the pixels whose shading
-        is wrong in `gae`: `focus_mask` without disocclusions.
+        A channel of `a`'s frames: metrics are over the pixels where it is not 0.
     progress : callable or None
         Called with (frames done, frames in all).
-    gae : Sequence or None
-        For "focus": the frames of `a` without shading correction; `a` itself if None.
 
     Raises
     ------
@@ -142,16 +114,9 @@ def compare(
             f"{a.path}: no extrapolated frame has ground truth in {b.path} (expected times within 1/50 of an interval:"
             f" {a.extrapolated[0].file} is at {a.extrapolated[0].time:.6g} s, the nearest is at {near.time:.6g} s)"
         )
-    if gae is not None:
-        _require_same_size(gae, b)
-        for pair in pairs:
-            pair.gae = gae.at("extrapolated", pair.entry.time, pair.entry.source)
-            if pair.gae is None:
-                after = f" after {pair.entry.source}" if pair.entry.source else ""
-                raise GffeError(f"{gae.path}: no extrapolated frame at {pair.entry.time:.6g} s{after}, as {a.path} has")
     notes = [missed[0] + (f"; {len(missed) - 1} more" if missed[1:] else "")] if missed else []
     notes += _resets_of_its_own(a, b)
-    return _score(pairs, a, b, mask, progress, gae=gae, notes=notes)
+    return _score(pairs, a, b, mask, progress, notes=notes)
 
 
 def baseline_repeat(
@@ -188,7 +153,7 @@ def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = N
     return present(sequence.read(entry), size=size, device=device).color
 
 
-def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> SequenceComparison:
+def _score(pairs, a, b, mask, progress, device=None, notes=()) -> SequenceComparison:
     metrics = measurable()  # slow imports: once, before the threads
     notes = list(notes)
     if a.exposure != b.exposure:
@@ -198,43 +163,24 @@ def _score(pairs, a, b, mask, progress, device=None, gae=None, notes=()) -> Sequ
         for pair in pairs:
             pair.counted = True
 
-    if mask == FOCUS and gae is None:
-        notes.append(f"focus pixels are those of {a.path} itself: give the sequence without shading correction")
-
     def score(pair):
         shown = to_display(shown_color(a, pair.entry, device), b.exposure)
-        true_color = b.read_color(pair.truth)
-        truth = to_display(true_color, b.exposure)
+        truth = to_display(b.read_color(pair.truth), b.exposure)
         if shown.shape != truth.shape:
             raise GffeError(
                 f"{pair.entry.file}: {shown.shape[1]}×{shown.shape[0]} pixels,"
                 f" expected {truth.shape[1]}×{truth.shape[0]} as in {pair.truth.file}"
             )
-        if mask != FOCUS:
-            pixels = a.read_channels(pair.entry, [mask])[mask] if mask else None
-            return {metric.name: metric.measure(shown, truth, pixels) for metric in metrics}, None, None
-        masks = a.read_channels(pair.entry, ["mask.dynamic", "mask.disoccluded"])
-        without = gae.read_color(pair.gae) if gae else a.read_color(pair.entry)
-        focus = focus_mask(without, true_color, masks["mask.dynamic"], b.exposure)
-        regions = shading_regions(focus, masks["mask.disoccluded"] != 0)
-        errors, before = RegionErrors(), RegionErrors()
-        errors.add(shown, truth, regions, metrics)
-        if gae:
-            before.add(to_display(without, b.exposure), truth, regions, metrics)
-        return {metric.name: errors.figure(metric.name, FOCUS) for metric in metrics}, errors, before
+        pixels = a.read_channels(pair.entry, [mask])[mask] if mask else None
+        return {metric.name: metric.measure(shown, truth, pixels) for metric in metrics}
 
-    frames, regions, of_gae = [], [], []
-    for pair, (values, errors, before) in read_ahead(pairs, score, _THREADS):
-        if pair.counted and errors:
-            regions.append(errors)
-            of_gae.append(before)
+    frames = []
+    for pair, values in read_ahead(pairs, score, _THREADS):
         time = pair.truth.time if pair.entry.kind == "rendered" else pair.entry.time
         frames.append(FrameScore(time, pair.entry.file, pair.truth.file, values, pair.counted))
         if progress:
             progress(len(frames), len(pairs))
-    return SequenceComparison(
-        frames, notes, RegionErrors.pooled(regions).figures(), RegionErrors.pooled(of_gae).figures()
-    )
+    return SequenceComparison(frames, notes)
 
 
 class _History:

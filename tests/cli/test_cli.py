@@ -222,14 +222,6 @@ def test_shading_correction(gffe, tmp_path):
     for before, entry in zip(images["none"], made.extrapolated, strict=True):
         assert np.array_equal(before["G"], made.read_channels(entry, ["G"])["G"])
 
-    report = tmp_path / "c.json"
-    focus = ("--mask", "focus", "--gae", tmp_path / "none", "--json", report)
-    code, text, _ = gffe("compare", tmp_path / "some", scene, *focus)
-    assert code == 0 and "nan" not in text
-    assert re.search(r"all frames together +share +metric +GAE +final +gain", text)
-    code, _, err = gffe("compare", tmp_path / "some", scene, "--gae", tmp_path / "none")
-    assert code == 2 and "--gae goes with --mask focus" in err
-
 
 def test_wrong_options_of_shading_correction(gffe, scene, tmp_path):
     model = constant_model(tmp_path / "m.onnx")
@@ -738,11 +730,4 @@ def test_a_metric_is_described_once(gffe, scene, tmp_path, monkeypatch):
     document = json.loads(report.read_text())
     assert code == 0 and re.search(r"frame +PSNR, dB +SSIM .*Worst", text) and "Worst 0.0" in text
     assert 0 < document["mean"]["worst"] < 0.2 and 0 < document["frames"][0]["worst"] < 0.2
-    focus = ("--mask", "focus", "--gae", tmp_path / "out", "--json", report)
-    code, text, _ = gffe("compare", tmp_path / "out", scene, *focus)
-    assert (
-        code == 0
-        and re.search(r"Worst +[\d.]+ +[\d.]+ +\+0\.0000", text)
-        and json.loads(report.read_text())["gain"]["whole"]["worst"] == 0
-    )
     assert [column.name for column in METRIC_COLUMNS] == [name for name in METRICS if name != "worst"]

@@ -24,7 +24,7 @@ from gffe_cl.engine.pipeline.order import STAGES
 from gffe_cl.engine.stages.holes import FILLINGS
 from gffe_cl.engine.timing import bench as bench_module
 from gffe_cl.engine.timing import footage as timed_footage
-from gffe_cl.lab.bench import counting, io_times
+from gffe_cl.lab.bench import counting
 from gffe_cl.lab.bench import footage as inputs
 from gffe_cl.lab.table import methods
 from gffe_cl.lab.table.methods import LIBRARY, METHODS
@@ -124,38 +124,6 @@ def test_bench_of_methods(gffe, tmp_path):
     for name in ("no-scn", "performance", "dilate-splat"):
         same = [row["psnr"] for row in report["methods"] if row["method"] == name]
         assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
-
-
-def test_bench_of_arrays(gffe, tmp_path):
-    """Every form of colors on every device: times of all parts, and a ratio that fits them."""
-    code, text, _ = gffe("bench", "--io", "--sizes", "64x48,13x9", "--repeats", 3, "--json", tmp_path / "io.json")
-    assert code == 0 and "float16 RGBA" in text and "13×9" in text
-    for device in json.loads((tmp_path / "io.json").read_text())["devices"]:
-        assert (device["of"], device["repeats"]) == ("plaza", 3)
-        rows = {(row["width"], row["height"], row["color"]): row for row in device["frames"]}
-        forms = "float32 RGB", "float32 RGBA", "float16 RGB", "float16 RGBA"
-        assert set(rows) == {(*size, form) for size in ((64, 48), (13, 9)) for form in forms}
-        for row in rows.values():
-            times = "upload", "copy_in", "download", "copy_out", "zero_copy", "mapped", "ratio"
-            assert min(row[part] for part in times) > 0
-            pixels, halves = row["width"] * row["height"], row["color"] == "float16 RGBA"
-            assert row["copied"] == 20 * pixels  # all devices here are CPUs
-            assert row["zero_copied"] == (0 if halves else 8 * pixels)
-
-
-def test_time_of_arrays_is_that_of_each_part(device, monkeypatch):
-    """By a clock that each part moves on by what it is said to take."""
-    frame = inputs.loop_of(device, "plaza", (16, 12)).frames[-1]
-    now, took = [0.0], {"_upload_frame": 6.0, "_copy_in": 3.0, "_download": 2.0, "_copy_out": 1.0}
-    took |= {"_share_frame": 0.5, "_map": 0.25}
-    monkeypatch.setattr(io_times.time, "perf_counter", lambda: now[0])
-    for part, seconds in took.items():
-        monkeypatch.setattr(io_times._Turn, part, lambda self, seconds=seconds: now.__setitem__(0, now[0] + seconds))
-    counted = []
-    for row in io_times.measure_io(device, frame, 2, lambda: counted.append(1)):
-        assert (row.upload, row.copy_in, row.download, row.copy_out, row.ratio) == (6000, 3000, 2000, 1000, 2)
-        assert (row.zero_copy, row.mapped) == (500, 250)
-    assert len(counted) == 2 * len(io_times.FORMS)
 
 
 def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):

@@ -24,7 +24,7 @@ def truth_level(i):
 
 
 def write(path, kind, times, levels, resets=(0,), exposure=1.0, width=W, sources=None, masks=None):
-    """Rendered frames at 0, 0.1, …, each of color i/10, and frames of `kind` at `times`; `masks` "all": all of 0."""
+    """Rendered frames at 0, 0.1, …, each of color i/10, and frames of `kind` at `times`."""
     with SequenceWriter(path, width, H, 10, exposure) as writer:
         for i in range(6):
             entry = FrameEntry(f"frame_{i}.exr", i / 10, "rendered", i in resets, None, CAMERA)
@@ -33,9 +33,7 @@ def write(path, kind, times, levels, resets=(0,), exposure=1.0, width=W, sources
         for i, (time, level) in enumerate(zip(times, levels, strict=True)):
             entry = FrameEntry(f"{kind}_{i}.exr", time, kind, source=sources[i] if sources else None)
             channels = named_channels(color(level, width))
-            if isinstance(masks, str):
-                channels |= dict.fromkeys(("mask.dynamic", "mask.disoccluded"), np.zeros((H, width), np.float32))
-            elif masks is not None:
+            if masks is not None:
                 channels["mask.dynamic"] = masks
             writer.add(entry, channels)
     return open_sequence(path)
@@ -152,63 +150,3 @@ def test_baseline(truth):
     assert result.mean["psnr"] == pytest.approx(np.mean(expected[2:]), abs=1e-2)
     assert result.frames[4].file == "frame_4.exr" and result.frames[4].truth == "ground_truth_4.exr"
     assert result.frames[4].time == pytest.approx(0.45)
-
-
-def test_focus(tmp_path, truth):
-    """Focus pixels are where `gae` is wrong, whatever `a` is; dynamic and disoccluded ones are none."""
-    dynamic, shape = np.zeros((H, W), np.float32), (H, W, 3)
-    dynamic[:, 9:] = 1
-    holes = np.zeros((H, W), np.float32)
-    holes[:2] = 1
-
-    def frames(path, right):
-        with SequenceWriter(path, W, H, 10, 0.8) as writer:
-            for i, time in enumerate(HALVES):
-                image = np.full(shape, TRUTH[i], np.float32)
-                image[:, 5:] = TRUTH[i] * right
-                entry = FrameEntry(f"e_{i}.exr", time, "extrapolated")
-                writer.add(entry, named_channels(image) | {"mask.dynamic": dynamic, "mask.disoccluded": holes})
-        return open_sequence(path)
-
-    gae, better = frames(tmp_path / "gae", 0.3), frames(tmp_path / "better", 0.95)
-    both = compare(better, truth, "focus", gae=gae)
-    results = {"gae": compare(gae, truth, "focus", gae=gae).regions, "better": both.regions}
-    for regions in results.values():
-        shares = {name: figures["share"] * H * W for name, figures in regions.items()}
-        # Column 5 is unlike the truth too: there is nothing to the left that looks like it.
-        assert shares == pytest.approx({"focus": 4 * (H - 2), "disoccluded": 2 * W, "whole": H * W})
-    for name in results["gae"]:
-        assert results["better"][name]["psnr"] > results["gae"][name]["psnr"] + 10
-        assert both.gae[name] == pytest.approx(results["gae"][name], nan_ok=True)
-        for metric in ("psnr", "ssim"):
-            gain = results["better"][name][metric] - results["gae"][name][metric]
-            assert both.gain[name][metric] == pytest.approx(gain, nan_ok=True)
-    assert both.to_json()["gain"]["focus"]["psnr"] > 10 and both.to_json()["gae"]["focus"]["share"] > 0
-    own = compare(better, truth, "focus")
-    assert own.regions["focus"]["share"] == 0 and own.to_json()["regions"]["focus"]["psnr"] is None
-    assert "give the sequence without shading correction" in own.notes[-1]
-    document = compare(better, truth, "focus", gae=gae).to_json()
-    assert document["frames"][3]["psnr"] == pytest.approx(level_psnr(TRUTH[3] * 0.95, TRUTH[3]), abs=1e-2)
-    focus = np.zeros((H, W), bool)
-    focus[2:, 5:9] = True
-    images = [
-        to_display(s.read_color(e), 0.8) for s, e in ((better, better.extrapolated[3]), (truth, truth.ground_truth[3]))
-    ]
-    assert document["frames"][3]["ssim"] == pytest.approx(ssim(*images, focus), abs=1e-6)
-    few = write(tmp_path / "few", "extrapolated", HALVES[:1], TRUTH[:1])
-    with pytest.raises(GffeError, match=r"few: no extrapolated frame at 0.15 s"):
-        compare(better, truth, "focus", gae=few)
-
-
-def test_frames_of_one_time_are_told_apart_by_their_source(tmp_path, truth):
-    """With alphas of 0.5 and 1.5 two frames have one time: the one that shading correction began with is compared."""
-
-    def frames(path, levels):
-        sources = ["frame_1.exr", "frame_2.exr"]
-        return write(path, "extrapolated", [0.25, 0.25], levels, exposure=0.8, sources=sources, masks="all")
-
-    a = frames(tmp_path / "a", [TRUTH[2], TRUTH[2]])
-    gae = frames(tmp_path / "gae", [TRUTH[2], TRUTH[2] * 0.3])
-    result = compare(a, truth, "focus", gae=gae)
-    right = {frame.file: bool(np.isnan(frame.values["psnr"])) for frame in result.frames}
-    assert right == {"extrapolated_0.exr": True, "extrapolated_1.exr": False}

@@ -15,7 +15,6 @@ import numpy as np
 import OpenEXR
 
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
-from gffe_cl.captures.sequence.openexr_stderr import quietly
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import require_moderate
 from gffe_cl.engine.core.validation import as_float32, require_choice
@@ -59,18 +58,14 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
     # The library decodes all parts at once, also unrequested ones.
     require_moderate(nbytes, max((math.prod(sides[part]) for part, _ in places), default=0), label)
 
-    def decode() -> list[np.ndarray]:
+    try:
         with _counted(), OpenEXR.File(os.fsencode(path), separate_channels=True) as file:
-            parts = [file.channels(i) for i in range(len(file.parts))]  # none if the library gave up
+            parts = [file.channels(i) for i in range(len(file.parts))]  # none if the library gave up, and printed why
             if len(parts) != len(header.parts):
                 raise ValueError("corrupt pixel data")
             return [parts[part][name].pixels for part, name in places]
-
-    try:
-        return quietly(decode)
     except Exception as error:
-        reason = "; ".join(dict.fromkeys(map(_one_line, (error, *getattr(error, "__notes__", ())))))
-        raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
+        raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({_one_line(error)})") from None
 
 
 def place_of(header: ExrHeader, name: str, label: str) -> tuple[int, str] | None:

@@ -2,7 +2,8 @@
 
 For a truncated file the library prints to the console and returns a file without parts. On a full disk it reports no
 error. So the header and the chunk offset table are checked here first. That is cheap (no pixels are read), and finds
-every truncated file before the library opens it. Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html
+every truncated file before the library opens it. The library's package for Python does not have the types of channels
+either, unless it decodes them. Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html
 """
 
 from __future__ import annotations

@@ -33,11 +33,9 @@ class Timeline:
             interval = times[k] - times[k - 1]
         return _TOLERANCE * interval
 
-    def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
+    def at(self, kind: str, time: float) -> FrameEntry | None:
         entries, times, slack = self._of_kind[kind], self._times[kind], self.tolerance(time)
         found = entries[bisect_left(times, time - slack) : bisect_right(times, time + slack)]
-        if source is not None:
-            found = [entry for entry in found if entry.source == source]
         return min(found, key=lambda entry: abs(entry.time - time), default=None)
 
     def nearest(self, kind: str, time: float) -> FrameEntry | None:

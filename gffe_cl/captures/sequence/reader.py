@@ -120,13 +120,10 @@ class Sequence:
         """Entries of the extrapolated frames, by time."""
         return [entry for entry in self.frames if entry.kind == "extrapolated"]
 
-    def at(self, kind: str, time: float, source: str | None = None) -> FrameEntry | None:
+    def at(self, kind: str, time: float) -> FrameEntry | None:
         """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. The
-        result is None if there is no such frame. All matching of frames uses this method. `source`: only frames that
-        were extrapolated from this one."""
-        if source is not None:
-            require_kind(source, str, "sequence: source", "a file name or None")
-        return self._timeline.at(*_moment(kind, time), source)
+        result is None if there is no such frame. All matching of frames uses this method."""
+        return self._timeline.at(*_moment(kind, time))
 
     def camera_at(self, time: float) -> Camera | None:
         """Return the display camera at `time` (seconds), matched as in `at`, from ground truth or a known camera; None

@@ -76,10 +76,6 @@ class Metric:
         total, count = _sum_over(self.map(shown, truth), mask)
         return self.of_mean(total / count) if count else float("nan")
 
-    def gain(self, before: float, after: float) -> float:
-        """Return how much better `after` is than `before`."""
-        return after - before if self.higher_is_better else before - after
-
     def missing(self) -> str | None:
         """Return None if the metric is available, else a sentence that names the package to install."""
         what = f"{self.label} needs {self.package}: {how_to_install('lab')}"

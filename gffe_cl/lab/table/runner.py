@@ -89,7 +89,7 @@ def fill(
             work = Work(subject, name, key_of(identity, method and method.identity()))
             cell = None if order.recompute else cache.read(work.key)
             if cell and set(order.videos if method else ()) <= _tried(cell):
-                _take(filled, work, cell, cache)
+                _take(filled, work, cell)
             else:
                 missing.append(work)
     advance = on_plan(sum(work.subject.moments for work in missing if work.method))
@@ -101,7 +101,7 @@ def fill(
         cache.write(work.key, cell)
         filled.computed += 1
         if work.subject.name not in filled.broken:
-            _take(filled, work, cell, cache)
+            _take(filled, work, cell)
     if filled.broken and not filled.subjects:
         raise GffeError("; ".join(f"{name}: {reason}" for name, reason in filled.broken.items()))
     return filled
@@ -125,9 +125,8 @@ def _tried(cell: Cell) -> set[str]:
     return {*cell.document.get("videos", {}), *cell.document.get("skipped", {})}
 
 
-def _take(filled: Filled, work: Work, cell: Cell, cache: Cache) -> None:
+def _take(filled: Filled, work: Work, cell: Cell) -> None:
     if work.method is None:
         filled.described[work.subject.name] = cell
     else:
-        cell.timing = cache.timing(work.key, filled.machine)
         filled.cells[work.subject.name, work.method] = cell

@@ -188,13 +188,14 @@ class Training:
         on_step: Callable[[Progress], None] = lambda progress: None,
         validate_every: int = 500,
     ) -> bool:
-        """Train until all steps are done, or `time.monotonic()` passes `until`, and return whether all are done.
+        """Train until all steps are done, or `time.monotonic()` passes `until`, but a step at least, and return whether
+        all are done.
 
         A checkpoint is written every two minutes and at the end, also when interrupted: SIGINT and SIGTERM wait for the
         end of a step. Raises GffeError, and leaves the last checkpoint, if the loss is not finite.
         """
         started = saved = time.monotonic()
-        spent = self.seconds
+        spent, first = self.seconds, self.step
         log = _Log(self.folder, self.step)
         whole = True  # between two steps
         try:
@@ -205,7 +206,7 @@ class Training:
                     if now - saved > _CHECKPOINT_SECONDS:
                         self.save()
                         saved = now
-                    if received or (until is not None and now > until):
+                    if received or (until is not None and now > until and self.step > first):
                         break
                     whole = False
                     halved, terms = self._train_step()

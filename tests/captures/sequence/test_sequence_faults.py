@@ -1,14 +1,9 @@
 """Every structural fault is one line that says what is wrong and where."""
 
-import contextlib
-import ctypes
 import os
 import socket
-import sys
 import threading
-import time
 import warnings
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +11,7 @@ import OpenEXR
 import pytest
 from tiny_sequence import H, W, contiguous, edit, pixels, write
 
-from gffe_cl.captures.sequence import SequenceWriter, named_channels, open_sequence, openexr_stderr
+from gffe_cl.captures.sequence import SequenceWriter, named_channels, open_sequence
 from gffe_cl.captures.sequence.checks import zero_motion_warning
 from gffe_cl.captures.sequence.exr_layout import _Cursor, _parse
 from gffe_cl.engine.core.errors import GffeError
@@ -55,92 +50,21 @@ def test_truncated_after_opening(folder):
         sequence.read(sequence.rendered[2])
 
 
-def test_damaged_and_unfinished(folder, capfd):
+def test_damaged_and_unfinished(folder):
     path = folder / "frame_2.exr"
     flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))  # so that it is compressed
     OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
     data = path.read_bytes()
     path.write_bytes(data[:-15] + b"\xff" * 15)
     sequence = open_sequence(folder)
-    with pytest.raises(GffeError, match=r"^frame_2.exr: damaged.*Unable to decompress") as info:
+    with pytest.raises(GffeError, match=r"^frame_2.exr: damaged, the pixels cannot be decoded") as info:
         sequence.read(sequence.rendered[2])
     assert "\n" not in str(info.value)
-    assert capfd.readouterr() == ("", "")  # what the library says is in the message
     path.write_bytes(b"P6 480 270 255 not an exr at all")
     assert fault(folder) == "frame_2.exr: not an OpenEXR file"
     table = _parse(_Cursor(data)).end
     path.write_bytes(data[:table] + b"\0" * 8 + data[table + 8 :])
     assert "incomplete, 1 of 1 chunks" in fault(folder)
-
-
-def test_what_others_print_meanwhile_is_passed_on(folder, capfd):
-    """Three threads read damaged files, two print meanwhile, from Python and C; standard error is what it was."""
-    path = folder / "frame_2.exr"
-    flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
-    path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
-    sequence = open_sequence(folder)
-    done, stderr = threading.Event(), os.fstat(2)
-
-    def read(_):
-        with pytest.raises(GffeError, match=r"unable to decompress|Unable to decompress"):
-            sequence.read(sequence.rendered[2])
-
-    def talk(k):
-        while not done.is_set():
-            assert os.path.samestat(os.fstat(2), stderr)
-            sys.stdout.write(f"out {k}\n")
-            os.write(2, b"error %d\n" % k)
-            time.sleep(1e-4)
-
-    with ThreadPoolExecutor(5) as pool:
-        talking = [pool.submit(talk, k) for k in range(2)]
-        try:
-            list(pool.map(read, range(90)))
-        finally:
-            done.set()
-        for future in talking:
-            future.result()
-    out, err = capfd.readouterr()
-    assert set(out.splitlines()) == {"out 0", "out 1"} and set(err.splitlines()) == {"error 0", "error 1"}
-    assert out.count("\n") == err.count("\n")
-    os.write(2, b"as before\n")
-    assert capfd.readouterr() == ("", "as before\n")
-
-
-@pytest.mark.parametrize(("at", "words"), [(6, None), (40, "; Csiz does not match the SIZ marker size")])
-def test_damaged_htj2k(folder, capfd, at, words):
-    """Its decoder prints warnings through C's standard output, errors through standard error."""
-    path, ramp = folder / "frame_2.exr", np.add.outer(np.arange(H), np.arange(W)).astype(np.float32)
-    options = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.HTJ2K256_COMPRESSION}
-    OpenEXR.File(options, contiguous(dict.fromkeys(named_channels(*pixels()), ramp))).write(str(path))
-    data = bytearray(path.read_bytes())
-    start = data.index(b"\xff\x4f\xff\x51") + at
-    data[start : start + 2] = b"\xff\xff"
-    path.write_bytes(data)
-    sequence = open_sequence(folder)
-    with pytest.raises(GffeError, match=words) if words else contextlib.nullcontext():  # a warning alone
-        sequence.read(sequence.rendered[2])
-    ctypes.CDLL(None).fflush(None)
-    assert capfd.readouterr() == ("", "")
-
-
-@pytest.mark.skipif(not sys.platform.startswith("linux"), reason="threads have no descriptors of their own")
-@pytest.mark.parametrize("damaged", [False, True])
-def test_decoding_leaves_no_file_open(folder, monkeypatch, damaged):
-    """The descriptors of its thread mean other files on all others."""
-    path, seen, read = folder / "frame_2.exr", [], openexr_stderr._read
-    if damaged:
-        flat = dict.fromkeys(named_channels(*pixels()), np.ones((H, W), np.float32))
-        OpenEXR.File({"type": OpenEXR.scanlineimage}, flat).write(str(path))
-        path.write_bytes(path.read_bytes()[:-15] + b"\xff" * 15)
-    monkeypatch.setattr(
-        openexr_stderr, "_read", lambda file: (seen.append(os.listdir("/proc/thread-self/fd")), read(file))[1]
-    )
-    sequence = open_sequence(folder)
-    with pytest.raises(GffeError) if damaged else contextlib.nullcontext():
-        sequence.read(sequence.rendered[2])
-    assert all(set(numbers) == set("012345") for numbers in seen) and seen  # 3, 4: what is printed; 5: the list itself
 
 
 @pytest.mark.parametrize("file", ["frame_1.exr", "sequence.json"])
@@ -368,15 +292,3 @@ def test_signaling_nan_in_motion_is_taken_as_nan():
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         assert zero_motion_warning(motion, depth, camera, camera) is None
-
-
-def test_systems_without_memfd_read_all_the_same(tmp_path, monkeypatch):
-    """Sandboxes and old kernels refuse `memfd_create`; the library's messages are then where they always were."""
-
-    def refuse(*_):
-        raise PermissionError(1, "Operation not permitted")
-
-    write(tmp_path / "in")
-    monkeypatch.setattr(os, "memfd_create", refuse, raising=False)
-    sequence = open_sequence(tmp_path / "in")
-    assert np.isfinite(sequence.read(sequence.frames[0]).color).all()

@@ -559,14 +559,14 @@ def test_equal_seeds_agree_and_slices_make_no_difference(data, tmp_path):
     whole = started(tmp_path / "whole", data, recipe)
     assert whole.run()
     part = started(tmp_path / "parts", data, recipe)
-    assert not part.run(until=0.0)  # nothing but a checkpoint
+    assert not part.run(until=0.0) and part.step == 1  # whatever the time
     for _ in range(2):
         part = started(tmp_path / "parts", data, recipe)
-        stop = part.step + 2
+        stop = part.step + 1
         with pytest.raises(KeyboardInterrupt):
             part.run(on_step=lambda progress, stop=stop: interrupt(progress.step == stop))
     part = started(tmp_path / "parts", data, recipe)
-    assert part.step == 4 and part.run()
+    assert part.step == 3 and part.run()
     assert_same_weights(whole, part)
     other = started(tmp_path / "other", data, Recipe(seed=4, steps=4, batch=1))
     assert other.run()
@@ -692,12 +692,10 @@ def train(tmp_path, monkeypatch, capsys):
 def test_however_short_the_time_there_is_a_model_in_the_end(train, tmp_path):
     """Clips take all of it, and yet some steps are done; the same command goes on with the clips it began with."""
     recipe = ("--seed", "3", "--batch", "1", "--steps", "1000")
-    code, told, report = train(*recipe, "--minutes", "0.002")
+    code, _, report = train(*recipe, "--minutes", "0.002")
     assert code == 0 and not report["done"] and report["step"] > 0
     assert {path.name for path in (tmp_path / "run").iterdir()} >= {"scn.onnx", "MODEL_CARD.md", CHECKPOINT}
     assert len(clips.finished_clips(tmp_path / "run" / "data", 3, 400)) == 2
-    assert "clips: at most 0 s" in told and "s each, about 2 of 400 in this time" in told
-    assert "steps: 1,000 of 1,000 to go, for " in told
     inference.load_network(tmp_path / "run" / "scn.onnx")
     _, told, later = train(*recipe, "--minutes", "0.002")
     assert later["step"] > report["step"] and later["data"].startswith("2 clips")

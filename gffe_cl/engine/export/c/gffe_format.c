@@ -8,9 +8,6 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
-enum { COLOR, DEPTH, MOTION, BUFFERS };
-static const char *const NAMES[BUFFERS] = {"color", "depth", "motion"};
-
 gffe_format gffe_default_format(void) {
     gffe_format made;
     memset(&made, 0, sizeof made);
@@ -37,33 +34,30 @@ static size_t bytes_of(int type) {
     return type == GFFE_UNORM8 ? 1 : type == GFFE_FLOAT32 || type == GFFE_UNORM24 ? 4 : 2;
 }
 
-static int type_of(const gffe_format *format, int buffer) {
-    return buffer == COLOR ? format->color_type : buffer == DEPTH ? format->depth_type : format->motion_type;
+size_t gffe_texel_bytes(const gffe_format *format, int buffer) {
+    if (buffer == GFFE_DEPTH) return bytes_of(format->depth_type);
+    if (buffer == GFFE_COLOR) return bytes_of(format->color_type) * (size_t)format->color_channels;
+    return bytes_of(format->motion_type) * (size_t)format->motion_channels;
 }
 
-static size_t channels_of(const gffe_format *format, int buffer) {
-    return (size_t)(buffer == COLOR ? format->color_channels : buffer == DEPTH ? 1 : format->motion_channels);
-}
-
-static int is_color_ours(const gffe_format *format) {
+int gffe_is_color_ours(const gffe_format *format) {
     return format->color_type == GFFE_FLOAT16 && format->color_channels == 4;
 }
 
-/* Width and height of depth and motion. */
-static void geometry_of(const gffe_format *format, const int source[2], int size[2]) {
+void gffe_geometry_of(const gffe_format *format, const int source[2], int size[2]) {
     size[0] = format->geometry_width ? format->geometry_width : source[0];
     size[1] = format->geometry_height ? format->geometry_height : source[1];
 }
 
-static int is_small(const gffe_step *step) {
+int gffe_is_small(const gffe_step *step) {
     int size[2];
-    geometry_of(&step->format, step->source, size);
+    gffe_geometry_of(&step->format, step->source, size);
     return size[0] != step->source[0] || size[1] != step->source[1];
 }
 
-static int is_geometry_ours(const gffe_step *step) {
+int gffe_is_geometry_ours(const gffe_step *step) {
     const gffe_format *format = &step->format;
-    return !is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device
+    return !gffe_is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device
            && !format->depth_is_logarithmic && format->near_z == 0 && format->far_z == 1 && format->depth_range[0] == 0
            && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2
            && format->motion_scale[0] == 1 && format->motion_scale[1] == 1 && format->motion_offset[0] == 0
@@ -112,14 +106,14 @@ static gffe_status check_type(gffe *g, const char *name, int type, const int *al
                      type);
 }
 
-static gffe_status check_format(gffe *g, const gffe_format *format) {
+gffe_status gffe_check_format(gffe *g, const gffe_format *format) {
     static const int colors[4] = {GFFE_FLOAT16, GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM8};
     static const int depths[3] = {GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM24};
     static const int motions[4] = {GFFE_FLOAT32, GFFE_FLOAT16, GFFE_UNORM16, GFFE_SNORM16};
     const double near_z = format->near_z, far_z = format->far_z, nearer = near_z < far_z ? near_z : far_z;
-    gffe_status status = check_type(g, NAMES[COLOR], format->color_type, colors, 4);
-    if (!status) status = check_type(g, NAMES[DEPTH], format->depth_type, depths, 3);
-    if (!status) status = check_type(g, NAMES[MOTION], format->motion_type, motions, 4);
+    gffe_status status = check_type(g, "color", format->color_type, colors, 4);
+    if (!status) status = check_type(g, "depth", format->depth_type, depths, 3);
+    if (!status) status = check_type(g, "motion", format->motion_type, motions, 4);
     if (!status) status = check_numbers(g, format);
     if (status) return status;
     if (!format->geometry_width != !format->geometry_height)
@@ -153,48 +147,6 @@ static gffe_status check_format(gffe *g, const gffe_format *format) {
     return GFFE_OK;
 }
 
-gffe_status gffe_set_format(gffe *g, const gffe_format *format) {
-    gffe_status status = gffe_need(g, g, "gffe");
-    int size[2], k;
-    if (!status && format) status = check_format(g, format);
-    if (status) return status;
-    if (format) geometry_of(format, g->step.source, size);
-    for (k = 0; k < 2 && format; ++k)
-        if (size[k] < g->step.source[k] / GFFE_MOST_RATIO || size[k] > g->step.source[k])
-            return gffe_fail(g, GFFE_INVALID,
-                             "format: geometry is %dx%d and color %dx%d (expected depth and motion of the size of color"
-                             " or up to %d times smaller, each way)",
-                             size[0], size[1], g->step.source[0], g->step.source[1], GFFE_MOST_RATIO);
-    g->has_format = format != NULL;
-    if (!format) return GFFE_OK;
-    g->step.format = *format;
-    return g->memory[gffe_reference(g, "upload.bad_pixels")] ? GFFE_OK : gffe_open_late(g);
-}
-
-gffe_status gffe_set_geometry_jitter(gffe *g, double x, double y) {
-    gffe_status status = gffe_need(g, g, "gffe");
-    if (!status) status = gffe_need_number(g, "geometry jitter: x", x, -GFFE_MOST_JITTER, GFFE_MOST_JITTER);
-    if (!status) status = gffe_need_number(g, "geometry jitter: y", y, -GFFE_MOST_JITTER, GFFE_MOST_JITTER);
-    if (status) return status;
-    g->jitter[0] = x;
-    g->jitter[1] = y;
-    return GFFE_OK;
-}
-
-gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]) {
-    const gffe_step *step = &g->step;
-    int k, geometry[2];
-    geometry_of(&step->format, step->source, geometry);
-    for (k = 0; k < BUFFERS; ++k) {
-        const size_t texel = bytes_of(type_of(&step->format, k)) * channels_of(&step->format, k);
-        gffe_status status;
-        if (k == MOTION && !buffers[k]) continue;
-        status = gffe_check_bytes(g, buffers[k], NAMES[k], k == COLOR ? step->source : geometry, texel);
-        if (status) return status;
-    }
-    return GFFE_OK;
-}
-
 /* Rounds a value to the numbers that a type holds, to even. */
 static double stored(double value, int type) {
     const double most = most_of(type);
@@ -218,12 +170,12 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     const double far_value = format->depth_range[!swapped], near_value = format->depth_range[swapped];
     const double depth_most = most_of(format->depth_type);
     int k, geometry[2];
-    geometry_of(format, step->source, geometry);
+    gffe_geometry_of(format, step->source, geometry);
     block->geometry_width = geometry[0];
     block->geometry_height = geometry[1];
     for (k = 0; k < 2; ++k) {
         const double side = step->source[k], scale = side / geometry[k];
-        const double shift = is_small(step) ? step->jitter[k] : 0;
+        const double shift = gffe_is_small(step) ? step->jitter[k] : 0;
         const double units[] = {scale, side, side / 2, 1}; /* GFFE_PIXELS, GFFE_UV ... */
         const double unit = units[format->motion_unit];
         const double factor = sign * unit * (k && format->motion_y_up ? -1 : 1);
@@ -255,80 +207,12 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     block->motion_invalid = NAN;
     if (step->has_motion && !isnan(format->motion_invalid))
         block->motion_invalid = (float)stored(format->motion_invalid, format->motion_type);
-    block->given_types.s[COLOR] = format->color_type;
-    block->given_types.s[DEPTH] = format->depth_type;
-    block->given_types.s[MOTION] = step->has_motion ? format->motion_type : 0;
+    block->given_types.s[GFFE_COLOR] = format->color_type;
+    block->given_types.s[GFFE_DEPTH] = format->depth_type;
+    block->given_types.s[GFFE_MOTION] = step->has_motion ? format->motion_type : 0;
     block->given_types.s[3] = format->camera_motion;
     block->given_channels.s[0] = format->color_channels;
     block->given_channels.s[1] = format->motion_channels;
     block->depth_law = format->depth_is_device ? 1 : format->depth_is_logarithmic ? 2 : 0;
     block->has_previous = step->converts_after;
-}
-
-/* Makes the buffers of a converted frame: `turn` 0 and 1 have one motion, for nothing reads that of the frame before.
- */
-static gffe_status need_converted(gffe *g, int turn) {
-    static const size_t texels[BUFFERS] = {8, 4, 8};
-    int k;
-    for (k = 0; k < BUFFERS; ++k) {
-        cl_int error;
-        if (g->converted[turn][k]) continue;
-        if (k == MOTION && g->converted[!turn][k]) {
-            g->converted[turn][k] = g->converted[!turn][k];
-            clRetainMemObject(g->converted[turn][k]);
-            continue;
-        }
-        g->converted[turn][k] =
-            clCreateBuffer(g->context, CL_MEM_READ_WRITE,
-                           texels[k] * (size_t)g->step.source[0] * (size_t)g->step.source[1], NULL, &error);
-        if (!g->converted[turn][k]) return gffe_opencl_failed(g, error, "a buffer for a converted frame");
-    }
-    return GFFE_OK;
-}
-
-gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]) {
-    const int color = !is_color_ours(&g->step.format), geometry = !is_geometry_ours(&g->step);
-    int k;
-    g->converts[0] = color;
-    g->converts[1] = geometry;
-    for (k = 0; k < BUFFERS; ++k) frame[k] = given[k];
-    if (!color && !geometry) return GFFE_OK;
-    g->turn = !g->turn;
-    if (need_converted(g, g->turn)) return GFFE_OUT_OF_MEMORY;
-    for (k = 0; k < BUFFERS; ++k)
-        if (k == COLOR ? color : geometry) frame[k] = g->converted[g->turn][k];
-    return GFFE_OK;
-}
-
-gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
-    gffe_step *step = &g->step;
-    gffe_status status = GFFE_OK;
-    int k, geometry[2] = {step->source[0], step->source[1]};
-    step->has_motion = given[MOTION] != NULL;
-    step->converts_after = has_previous;
-    if (g->has_format) geometry_of(&step->format, step->source, geometry);
-    for (k = 0; k < 2; ++k) {
-        const double jitter = g->jitter[k] * ((double)step->source[k] / geometry[k]);
-        step->previous_jitter[k] = has_previous ? step->jitter[k] : jitter;
-        step->jitter[k] = jitter;
-    }
-    if (!g->has_format) return GFFE_OK;
-    for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = given[k];
-    if (!given[MOTION]) g->memory[GFFE_ENGINE_COLOR + 2 * MOTION] = g->memory[GFFE_RENDERED_MOTION];
-    step->converts = 1;
-    if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR);
-    if (!status && g->converts[1])
-        status = gffe_run(g, step->format.motion_dilated
-                                 ? (is_small(step) ? GFFE_CONVERT_SMALL_DILATED : GFFE_CONVERT_DILATED)
-                                 : (is_small(step) ? GFFE_CONVERT_SMALL : GFFE_CONVERT_GEOMETRY));
-    step->converts = 0;
-    for (k = 0; k < BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
-    return status;
-}
-
-void gffe_drop_converted(gffe *g) {
-    int turn, k;
-    for (turn = 0; turn < 2; ++turn)
-        for (k = 0; k < BUFFERS; ++k)
-            if (g->converted[turn][k]) clReleaseMemObject(g->converted[turn][k]);
 }

@@ -33,6 +33,8 @@ enum {
     GFFE_LEVELS
 };
 
+enum { GFFE_COLOR, GFFE_DEPTH, GFFE_MOTION, GFFE_BUFFERS }; /* of an engine */
+
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
 
 /* Kinds of arguments, with two numbers a and b. */
@@ -256,12 +258,23 @@ int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
 void gffe_swap(gffe *g, int overlays); /* 0 or GFFE_OF_OVERLAYS: those buffers */
 
 /* gffe_format.c */
+gffe_status gffe_check_format(gffe *g, const gffe_format *format);
+size_t gffe_texel_bytes(const gffe_format *format, int buffer);
+/* Computes width and height of depth and motion. */
+void gffe_geometry_of(const gffe_format *format, const int source[2], int size[2]);
+int gffe_is_small(const gffe_step *step); /* whether geometry is smaller than color */
+/* Return whether buffers are as the stages read them. */
+int gffe_is_color_ours(const gffe_format *format);
+int gffe_is_geometry_ours(const gffe_step *step);
+/* Fills the part of a converted frame's block that describes the given buffers. */
+void gffe_fill_given(const gffe_step *step, gffe_frame_block *block);
+
+/* gffe_conversion.c */
 gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]);
 /* Gives the buffers of the frame for the stages, converted ones where that is needed. */
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]);
 /* Converts the given buffers into the rendered frame's, whose cameras are set. */
 gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous);
-void gffe_fill_given(const gffe_step *step, gffe_frame_block *block);
 void gffe_drop_converted(gffe *g);
 
 /* gffe_overlays.c */
