@@ -2,26 +2,36 @@
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
    only as much of it counts as there was an interval before, and a share where that is not known; more where the mover
-   slows down. On arcs acceleration turns: its own change goes on, too. Cells without a mover are skipped. Some movers
-   are carried by the camera, as wipers and hands are: where velocity in view space has changed less since the frame
-   before than that in the world, velocity and acceleration go on in view space. */
+   slows down. On arcs acceleration turns: its own change goes on, too. What turns by more than a quarter in an
+   interval, as wheels do, moves on as its center does. Cells without a mover are skipped. Some movers are carried by
+   the camera, as wipers and hands are: where velocity in view space has changed less since the frame before than that
+   in the world, here and around, velocity and acceleration go on in view space. */
 
 #include "frame.h"
 #include "mover_grid.h"
 
 /* What set the thresholds: docs/deviations.md, "Movers' acceleration goes on", "Objects that the camera carries move
-   on in view space". */
+   on in view space", "What spins moves on as its center does". */
 #define BEND_MOST 0.5f /* share of the velocity: the more an acceleration exceeds it, the less it counts */
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define SLOWS 1.5f /* times the share that there was before: what counts of it where a mover slows down */
 #define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
 /* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
-   the world ... */
+   the world, while LEANS is that share for the sum over this cell and those around; or the other way round, with
+   IN_VIEW_AROUND for the sum ... */
 #define IN_VIEW 0.25f
+#define IN_VIEW_AROUND 0.5f
+#define LEANS 0.75f
+#define AROUND 3            /* cells to those around: of a 3x3 */
 #define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
 /* SHAKEN: a mover begins to be carried only where its velocity in the world has changed by more than this share of
    its distance: without a shake both spaces fit */
 #define SHAKEN 0.004f
+/* SPIN_SIZES: what spins has squared accelerations that differ by at most this factor from one interval to the next ...
+ */
+#define SPIN_SIZES 1.25f
+#define STILL_SPINS 2.0f /* ... or by this one where it did before ... */
+#define SPIN_LEAST 2.0f  /* px: ... and are at least so long: smaller ones may be errors */
 #define TURN_MOST 0.5f /* share of the acceleration: the more its change exceeds it, the less that counts */
 
 /* Mean values of a cell's fragments of one mover. */
@@ -115,76 +125,146 @@ INLINE float3 carried_on(const float3 acceleration, const float3 before) {
     return acceleration + (size > most ? TURN * divide(most, size) : TURN) * change;
 }
 
+/* How a mover moved in the frame before, met where its motion points to: means over its cells there. */
+typedef struct {
+    float3 velocity, view_velocity;
+    float3 acceleration;  /* where it is known */
+    float weight, weight_known, weight_spun;  /* of cells of the mover, of those with an acceleration, that spun */
+    bool was_carried;
+} Past;
+
+/* The movers' grid of the frame before. */
+typedef struct {
+    __global const float4 *velocity;
+    __global const uint2 *acceleration, *bend, *view_velocity;
+} Grid;
+
+INLINE Past past_of(const Mover mover, const int level_width, const int level_height, const Grid grid) {
+    Past past = {(float3)(0.0f), (float3)(0.0f), (float3)(0.0f), 0.0f, 0.0f, 0.0f, false};
+    const float per_px = 1.0f / (float)MOVER_CELL;
+    const float fx = mover.px_prev.x * per_px - 0.5f, fy = mover.px_prev.y * per_px - 0.5f;
+    const int x0 = (int)floor(fx), y0 = (int)floor(fy);
+#pragma unroll 1
+    for (int tap = 0; tap < 4; ++tap) {
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * level_width + x;
+        if (!inside(x, y, level_width, level_height)) continue;
+        const float4 v = grid.velocity[i];
+        if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
+        const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
+        past.velocity += weight * v.xyz;
+        past.view_velocity += weight * unpacked(grid.view_velocity[i]);
+        past.was_carried |= is_trusted(grid.view_velocity[i]);
+        past.weight += weight;
+        const uint2 a = grid.acceleration[i];
+        if (!is_trust_known(a)) continue;
+        past.acceleration += weight * unpacked(a);
+        past.weight_known += weight;
+        if (!is_trust_known(grid.bend[i])) past.weight_spun += weight;
+    }
+    if (!(past.weight > 0.0f)) return past;
+    past.velocity = mean_of(past.velocity, past.weight);
+    past.view_velocity = mean_of(past.view_velocity, past.weight);
+    if (past.weight_known > 0.0f) past.acceleration = mean_of(past.acceleration, past.weight_known);
+    return past;
+}
+
+/* A mover's squared change of velocity since the frame before: in view space, in the world. */
+INLINE float2 changes(const Mover mover, const Past past, __constant Frame *frame) {
+    const float ratio = frame->interval_ratio;
+    const float3 was = ratio * rotate_to_target(past.velocity, frame->from_previous);
+    return (float2)(squared_length(mover.view_velocity - ratio * past.view_velocity),
+                    squared_length(mover.velocity - was));
+}
+
+/* Whether the cells around must be asked if the camera carries a mover, by its own `changes`. */
+INLINE bool leans(const Mover mover, const Past past, const float2 own, __constant Frame *frame) {
+    const float shaken = SHAKEN * mover.depth;
+    return frame->camera_fixed && !past.was_carried && own.x < LEANS * own.y && own.y > shaken * shaken;
+}
+
+/* Whether a mover spins: accelerations of the last two intervals, alike but for their direction, are more than a
+   quarter of a turn apart. With radius vectors q0, q1, q2 of the last three places, which turn by the same angle, the
+   accelerations are -(1 - cos) q1 and -(1 - cos) q2, and q0 = 2 cos q1 - q2; *center is its center's velocity. */
+INLINE bool spins(const float3 velocity, const float3 found, const float3 before, const float sizes, const float px,
+                  float3 *center) {
+    const float size = squared_length(found), size_before = squared_length(before), both = product_of(found, before);
+    if (!(both < 0.0f && size > SPIN_LEAST * SPIN_LEAST * px * px && size < sizes * size_before
+          && size_before < sizes * size))
+        return false;
+    const float cosine = divide(2.0f * both, size + size_before);
+    *center = velocity - divide(1.0f, 1.0f - cosine) * ((1.0f - 2.0f * cosine) * found + before);
+    return true;
+}
+
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
    where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it
-   has added alpha (alpha + 1) of it. view_velocity: in view space, and 1 where the camera carries the mover:
-   acceleration and bend are of view space there. `ratio`: of the last two intervals. */
+   has added alpha (alpha + 1) of it; its trust is -1 where the mover spins, and it is its center's velocity.
+   view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are of view space
+   there. `ratio`: of the last two intervals. */
 SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __global const float *depth,
                                         __global const float2 *motion, __global const uchar *dynamic_mask,
                                         __global const float *met_depth, __global const float4 *velocity_prev,
-                                        __global const uint2 *acceleration_prev,
+                                        __global const uint2 *acceleration_prev, __global const uint2 *bend_prev,
                                         __global const uint2 *view_velocity_prev, __global float4 *velocity,
                                         __global uint2 *acceleration, __global uint2 *bend,
                                         __global uint2 *view_velocity) {
     const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
+    const Grid grid = {velocity_prev, acceleration_prev, bend_prev, view_velocity_prev};
     const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
     const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
     const float ratio = frame->interval_ratio;
     const int cell_x = get_global_id(0), cell_y = get_global_id(1);
     if (cell_x >= level_width || cell_y >= level_height) return;
     const int cell = cell_y * level_width + cell_x;
-    const Mover mover = mover_of_cell(cell_x, cell_y, frame, fragments);
-    velocity[cell] = (float4)(mover.velocity, mover.depth);
+    velocity[cell] = (float4)(0.0f);
     acceleration[cell] = packed((float3)(0.0f), -1.0f);
-    bend[cell] = packed((float3)(0.0f), 0.0f);
-    view_velocity[cell] = packed(mover.view_velocity, 0.0f);
-    if (!(mover.depth > 0.0f)) return;
-
-    const float per_px = 1.0f / (float)MOVER_CELL;
-    const float fx = mover.px_prev.x * per_px - 0.5f, fy = mover.px_prev.y * per_px - 0.5f;
-    const int x0 = (int)floor(fx), y0 = (int)floor(fy);
-    float3 velocity_sum = (float3)(0.0f), before_sum = (float3)(0.0f), view_velocity_sum = (float3)(0.0f);
-    float weight_sum = 0.0f, before_weight_sum = 0.0f;
-    bool was_carried = false;
-    for (int tap = 0; tap < 4; ++tap) {
-        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * level_width + x;
+    bend[cell] = view_velocity[cell] = packed((float3)(0.0f), 0.0f);
+    Mover mover;
+    Past past;
+    float2 own = (float2)(0.0f), all = (float2)(0.0f); /* changes: of this cell, and with those around */
+    float depth_here = 0.0f;
+    int asked = 0;
+    for (; asked < 10;
+         ++asked) { /* this cell; where it leans, the eight around, and it again: few registers stay in use */
+        const int place = (asked + 4) % 9;
+        const int x = cell_x + (place % 3 - 1) * AROUND, y = cell_y + (place / 3 - 1) * AROUND;
         if (!inside(x, y, level_width, level_height)) continue;
-        const float4 v = velocity_prev[i];
-        if (!(v.w > 0.0f) || !is_of_cell(v.w, mover.depth_prev)) continue;
-        const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
-        velocity_sum += weight * v.xyz;
-        view_velocity_sum += weight * unpacked(view_velocity_prev[i]);
-        was_carried |= is_trusted(view_velocity_prev[i]);
-        weight_sum += weight;
-        const uint2 a = acceleration_prev[i];
-        if (!is_trust_known(a)) continue;
-        before_sum += weight * unpacked(a);
-        before_weight_sum += weight;
+        mover = mover_of_cell(x, y, frame, fragments);
+        if (asked == 0) depth_here = mover.depth;
+        if (!(depth_here > 0.0f)) return;
+        if (!(mover.depth > 0.0f) || !is_of_cell(mover.depth, depth_here)) continue;
+        past = past_of(mover, level_width, level_height, grid);
+        const float2 change = past.weight > 0.0f ? changes(mover, past, frame) : (float2)(0.0f);
+        if (asked == 0) own = change;
+        if (asked < 9) all += change;
+        if (asked == 0 && !leans(mover, past, own, frame)) break;
     }
-    if (!(weight_sum > 0.0f)) return;
-    float3 now = mover.velocity;
-    float3 was = ratio * rotate_to_target(mean_of(velocity_sum, weight_sum), frame->from_previous);
-    bool carried = false;
-    if (frame->camera_fixed) {
-        const float3 seen = ratio * mean_of(view_velocity_sum, weight_sum);
-        const float change = squared_length(mover.view_velocity - seen), in_world = squared_length(now - was);
-        const float shaken = SHAKEN * mover.depth;
-        carried =
-            was_carried ? change < STILL_IN_VIEW * in_world : change < IN_VIEW * in_world && in_world > shaken * shaken;
-        if (carried) {
-            now = mover.view_velocity;
-            was = seen;
-            view_velocity[cell] = packed(now, 1.0f);
-        }
+    velocity[cell] = (float4)(mover.velocity, mover.depth);
+    view_velocity[cell] = packed(mover.view_velocity, 0.0f);
+    if (!(past.weight > 0.0f)) return;
+    float3 now = mover.velocity, was = ratio * rotate_to_target(past.velocity, frame->from_previous);
+    const bool carried = asked > 0 ? all.x < (own.x < IN_VIEW * own.y ? LEANS : IN_VIEW_AROUND) * all.y
+                                   : frame->camera_fixed && past.was_carried && own.x < STILL_IN_VIEW * own.y;
+    if (carried) {
+        now = mover.view_velocity;
+        was = ratio * past.view_velocity;
+        view_velocity[cell] = packed(now, 1.0f);
     }
     const float3 found = (now - was) * divide(ratio, 1.0f + ratio);
     float share = FIRST;
     float3 later = found;
-    if (before_weight_sum > 0.0f && carried == was_carried) {
-        const float3 found_before = ratio * ratio * mean_of(before_sum, before_weight_sum);
+    if (past.weight_known > 0.0f && carried == past.was_carried) {
+        const float3 found_before = ratio * ratio * past.acceleration;
         const float3 before = carried ? found_before : rotate_to_target(found_before, frame->from_previous);
         share = lasted(now, found, before);
         later = carried_on(found, before);
+        float3 center;
+        const float px = mover.depth * frame->to_previous.source_inverse.x;
+        if (spins(now, found, before, past.weight_spun > 0.5f * past.weight ? STILL_SPINS : SPIN_SIZES, px, &center)) {
+            acceleration[cell] = packed(found, 0.0f);
+            bend[cell] = packed(center, -1.0f);
+            return;
+        }
     }
     const float trusted = trust(now, found, share);
     acceleration[cell] = packed(found, trusted);

@@ -3,7 +3,7 @@
    camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
    to in the frame before, at the depth met there. Where the frame before does not show a mover's fragment, which came
    into view, that depth is the one of a static fragment. The trusted part of a mover's acceleration (acceleration.cl)
-   is added to the linear prediction. */
+   is added to the linear prediction; what spins moves as its center does. */
 
 #include "frame.h"
 #include "simd.h"
@@ -79,13 +79,15 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
         const float3 p1_prev = unproject(px_prev, met, frame->from_previous.source_inverse);
         const int cell = mover_cell_of(src_x, src_y, frame->source_width);
         const bool of_cell = frame->bends && is_of_cell(z, f.velocity[cell].w);
-        if (of_cell && is_trusted(f.view_velocity[cell])) {  /* the camera carries it */
-            predicted += weight[0] * (p1_prev - p0) + bent(cell, frame, f);
+        const bool carried = of_cell && is_trusted(f.view_velocity[cell]);  /* by the camera */
+        const float3 p1 = carried ? p1_prev : move_to_target(p1_prev, frame->from_previous);
+        const bool spins = of_cell && !is_trust_known(f.bend[cell]);
+        predicted += spins ? frame->alpha * unpacked(f.bend[cell]) : weight[0] * (p1 - p0);
+        if (of_cell && !spins) predicted += bent(cell, frame, f);
+        if (carried) {
             if (!(predicted.z > 0.0f)) return nowhere;
             return (float3)(project(predicted, frame->to_target.target), predicted.z);
         }
-        predicted += weight[0] * (move_to_target(p1_prev, frame->from_previous) - p0);
-        if (of_cell) predicted += bent(cell, frame, f);
     }
     for (int k = 1; k < known; ++k) predicted += weight[k] * (f.history[k * plane + src].xyz - p0);
     const float3 target_pos = move_to_target(predicted, frame->to_target);

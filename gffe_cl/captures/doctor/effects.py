@@ -11,6 +11,7 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 _WIDTH = 480  # pixels: larger frames are looked at in boxes of pixels
 _BLOCK, _REACH = 8, 4  # pixels of the boxes: sides of a block, and how far colors may be from where vectors lead
 _ALIKE, _ONE_SURFACE = 0.5, 1.1  # pixels, and ratio of depths, by which a block differs in itself at most
+_SHOWN_BEFORE = 1.3  # ratio of its depths in both frames: beyond that, the frame before showed another surface there
 _VISIBLE, _EXPLAINED = 0.02, 0.65  # mean difference of encoded colors along vectors; share of it that is left elsewhere
 _APART = 1.5  # pixels between where vectors lead and where the colors are
 _LEAST, _FRAMES = 0.015, 3  # share of all blocks; frames that are looked at
@@ -29,13 +30,16 @@ def effects_notes(clip: Clip, indices: list[int], exposure: float) -> list[Findi
 
 
 def moving_colors(frame: RenderedFrame, before: RenderedFrame, exposure: float) -> np.ndarray:
-    """Return (rows, columns) bool for blocks of `frame`: on one surface, which moves evenly, and whose colors are found
-    clearly elsewhere in the frame `before` than where motion vectors lead."""
+    """Return (rows, columns) bool for blocks of `frame`: on one surface, which moves evenly and which `before` shows,
+    and whose colors are found clearly elsewhere there than where motion vectors lead."""
     factor = max(1, -(-np.shape(frame.depth)[1] // _WIDTH))
     lights = (encoded(np.asarray(one.color)[..., :3], exposure).mean(-1) for one in (frame, before))
     here, there = (_boxes(light, factor) for light in lights)
-    depth = np.asarray(frame.depth, np.float32)[::factor, ::factor][: here.shape[0], : here.shape[1]]
-    motion = np.asarray(frame.motion, np.float32)[::factor, ::factor][: here.shape[0], : here.shape[1]] / factor
+    depth, depth_before, motion = (
+        np.asarray(plane, np.float32)[::factor, ::factor][: here.shape[0], : here.shape[1]]
+        for plane in (frame.depth, before.depth, frame.motion)
+    )
+    motion = motion / factor
     whole = [_blocks(image) for image in (here, depth, motion[..., 0], motion[..., 1])]
     rows, columns = whole[0].shape[:2]
     with np.errstate(invalid="ignore", over="ignore"):
@@ -48,7 +52,9 @@ def moving_colors(frame: RenderedFrame, before: RenderedFrame, exposure: float) 
     base = x + vector[..., :1], y + vector[..., 1:]
     even &= (base[0] >= _REACH).all(-1) & (base[0] < here.shape[1] - 1 - _REACH).all(-1)
     even &= (base[1] >= _REACH).all(-1) & (base[1] < here.shape[0] - 1 - _REACH).all(-1)
-    bx, by, block = (plane[even] for plane in (*base, whole[0]))
+    bx, by, block, deep = (plane[even] for plane in (*base, *whole[:2]))
+    was = depth_before[np.rint(by).astype(int), np.rint(bx).astype(int)]
+    shown = ((was == deep) | ((was < _SHOWN_BEFORE * deep) & (deep < _SHOWN_BEFORE * was))).all(-1)
 
     def differences(dx: int, dy: int) -> np.ndarray:
         return np.abs(_bilinear(there, bx + dx, by + dy) - block).mean(-1)
@@ -57,7 +63,7 @@ def moving_colors(frame: RenderedFrame, before: RenderedFrame, exposure: float) 
     steps = range(-_REACH, _REACH + 1)
     apart = [differences(dx, dy) for dy in steps for dx in steps if np.hypot(dx, dy) >= _APART]
     found = np.zeros((rows, columns), bool)
-    found[even] = (led > _VISIBLE) & (np.min(apart, 0) < _EXPLAINED * led)
+    found[even] = shown & (led > _VISIBLE) & (np.min(apart, 0) < _EXPLAINED * led)
     return found
 
 

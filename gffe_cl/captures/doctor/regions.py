@@ -126,8 +126,8 @@ def _convention(search: Search, reading: Reading, inside: np.ndarray, near: floa
 
 
 def _fits_another_camera(search: Search, reading: Reading, part: Rectangle, inside: np.ndarray, near: float) -> bool:
-    """Return whether in most frames another motion of the camera explains the vectors within the part: with the same
-    projection, or with that of a view of its own."""
+    """Return whether in most frames another motion of the camera explains the vectors within the part, of several
+    surfaces: with the same projection, or with that of a view of its own."""
     bench, fits = search.full, 0
     vectors = bench.motion(reading.motion)
     for number, look in enumerate(bench.looks):
@@ -139,8 +139,10 @@ def _fits_another_camera(search: Search, reading: Reading, part: Rectangle, insi
             w = reading.depth.inverse(bench.stored[chosen], ray)
             target = (bench.px + vectors)[chosen] - (cx, cy)
             moved = fitted_motion(np.eye(4), True, ray, w, target / (fx, fy), fx)
-            shares.append(np.mean(residuals(moved, ray, w, target / (fx, fy), fx) <= near))
-        fits += max(shares) > _FITS
+            explained = residuals(moved, ray, w, target / (fx, fy), fx) <= near
+            if explained.any() and _is_deep(bench.stored[chosen][explained]):
+                shares.append(explained.mean())
+        fits += max(shares, default=0.0) > _FITS
     return 2 * fits > len(bench.looks)
 
 

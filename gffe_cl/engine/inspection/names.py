@@ -15,7 +15,7 @@ DISOCCLUDED, FILLED_BY = "frame.disoccluded", "frame.filled_by"
 # of stages
 HISTORY, MET_DEPTH, DYNAMIC_MASK = "history.history", "history.met_depth", "history.dynamic_mask"
 VELOCITY, ACCELERATION = "acceleration.velocity", "acceleration.acceleration"
-VIEW_VELOCITY = "acceleration.view_velocity"
+VIEW_VELOCITY, BEND = "acceleration.view_velocity", "acceleration.bend"
 LINKS = "connectivity.links"  # neighbors of one surface, a bit each
 TARGET_POSITION = "prediction.target_position"
 BORDER_LINES = "warp.border_lines"

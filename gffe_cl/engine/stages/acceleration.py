@@ -49,7 +49,8 @@ class Acceleration(Stage):
             np.float32,
             ("x", "y", "z", "trust"),
             _CELLS,
-            "part of that acceleration that continues: α (α + 1) times it is added to positions",
+            "part of that acceleration that continues: α (α + 1) times it is added to positions; trust −1: the mover"
+            " spins, and this is the velocity of its center",
             "world",
             kept=True,
             packing=TRUSTED,
@@ -77,6 +78,7 @@ class Acceleration(Stage):
                 "met_depth": "history.met_depth",
                 "velocity_prev": "acceleration.velocity'",
                 "acceleration_prev": "acceleration.acceleration'",
+                "bend_prev": "acceleration.bend'",
                 "view_velocity_prev": "acceleration.view_velocity'",
             },
             {

@@ -56,6 +56,19 @@ def test_a_picture_of_several_views_is_noted(kind):
     assert found and said in found[0].sentence and not diagnosis.faults, diagnosis.findings
 
 
+def test_a_mover_before_others_is_no_view():
+    """A car ahead of the camera: nearly all of a rectangle moves as a whole, but only the rest of it is farther."""
+    near = np.arange(34)[:, None] >= 4
+    depth = np.broadcast_to(np.where(near, np.float32(2), np.float32(20)), (34, 45))
+    motion = np.broadcast_to(np.where(near[..., None], np.float32((3, 1)), np.float32((-5, 2))), (34, 45, 2))
+    others = [
+        replace(frame, color=frame.color[34:68, :45], depth=depth, motion=None if frame.motion is None else motion)
+        for frame in clip().images
+    ]
+    found = examine(with_part(0, 34, others)).findings
+    assert "several views" not in [finding.name for finding in found], found
+
+
 PARTS = {
     "negated": (lambda v: -v, "motion vectors are negated"),
     "half": (lambda v: v / 2, "motion vectors are half as long"),

@@ -14,7 +14,8 @@ def test_a_mask_that_contradicts_the_numbers_is_named():
 
     def said(label, residual, depth=2.0):
         motion, static = np.array([4.0, 3.0]), np.zeros(2)
-        return _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 0.25, (-1, 0.0, False))[0]
+        mover = (-1, 0.0, False, False)
+        return _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 0.25, mover)[0]
 
     assert said(STATIC, 0.1).startswith("Static: its motion (+4.00, +3.00) px is 0.10 px from")
     assert said(DYNAMIC, 4.99).startswith("Dynamic: its motion") and "), more than the thres" in said(DYNAMIC, 4.99)

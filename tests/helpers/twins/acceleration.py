@@ -48,6 +48,69 @@ def _as_packed(acceleration):
     return np.concatenate([vector, np.where(trust < 0, F(-1), np.floor(trust * steps + F(0.5)) / steps)], -1)
 
 
+def _past_of(mover, velocity_prev, acceleration_prev, bend_prev, view_velocity_prev):
+    """Return mean velocity in the world and in view space, mean acceleration or None, whether the camera carried the
+    mover, and whether it spun, in the frame before; None if it did not show the mover."""
+    _, _, at, _, z_prev = mover
+    cells = velocity_prev.shape[:2]
+    at = at / F(ACCELERATION.MOVER_CELL) - F(0.5)
+    x0, y0 = map(int, np.floor(at))
+    was, seen, before, weights, known, spun = np.zeros(3, F), np.zeros(3, F), np.zeros(3, F), F(0), F(0), F(0)
+    was_carried = False
+    for tap in range(4):
+        i, j = x0 + (tap & 1), y0 + (tap >> 1)
+        if not (0 <= i < cells[1] and 0 <= j < cells[0]):
+            continue
+        v_prev, a_prev = velocity_prev[j, i], acceleration_prev[j, i]
+        if not v_prev[3] > 0 or not _is_of_cell(v_prev[3], z_prev):
+            continue
+        u, w = at - (x0, y0)
+        weight = F(u if tap & 1 else 1 - u) * F(w if tap >> 1 else 1 - w)
+        was, weights = was + weight * v_prev[:3], weights + weight
+        seen = seen + weight * view_velocity_prev[j, i, :3]
+        was_carried |= view_velocity_prev[j, i, 3] > 0
+        if a_prev[3] >= 0:
+            before, known = before + weight * a_prev[:3], known + weight
+            spun += weight * F(bend_prev[j, i, 3] < 0)
+    if not weights > 0:
+        return None
+    return was / weights, seen / weights, before / known if known > 0 else None, was_carried, spun > F(0.5) * weights
+
+
+def _changes(mover, past, ratio, from_previous):
+    was, seen = ratio * rotate(past[0], from_previous), ratio * past[1]
+    return np.array((((mover[1] - seen) ** 2).sum(), ((mover[0] - was) ** 2).sum()), F)
+
+
+def _is_carried(cell, movers, pasts, ratio, from_previous):
+    mover, past = movers[cell], pasts[cell]
+    own = _changes(mover, past, ratio, from_previous)
+    if past[3]:
+        return own[0] < F(ACCELERATION.STILL_IN_VIEW) * own[1]
+    shaken = F(ACCELERATION.SHAKEN) * mover[3]
+    if not (own[0] < F(ACCELERATION.LEANS) * own[1] and own[1] > shaken * shaken):
+        return False
+    total = own
+    for dy, dx in np.ndindex(3, 3):
+        other = cell[0] + (dy - 1) * ACCELERATION.AROUND, cell[1] + (dx - 1) * ACCELERATION.AROUND
+        if other != cell and pasts.get(other) and _is_of_cell(movers[other][3], mover[3]):
+            total = total + _changes(movers[other], pasts[other], ratio, from_previous)
+    most = ACCELERATION.LEANS if own[0] < F(ACCELERATION.IN_VIEW) * own[1] else ACCELERATION.IN_VIEW_AROUND
+    return total[0] < F(most) * total[1]
+
+
+def _center_velocity(velocity, found, before, spun, px):
+    """Return the velocity of the center of what spins; None if it does not."""
+    size, size_before, both = (found * found).sum(), (before * before).sum(), (found * before).sum()
+    most = F(ACCELERATION.STILL_SPINS if spun else ACCELERATION.SPIN_SIZES)
+    if not (both < 0 and size > (F(ACCELERATION.SPIN_LEAST) * px) ** 2):
+        return None
+    if not (size < most * size_before and size_before < most * size):
+        return None
+    cosine = 2 * both / (size + size_before)
+    return velocity - ((1 - 2 * cosine) * found + before) / (1 - cosine)
+
+
 def track_acceleration(
     depth,
     motion,
@@ -55,6 +118,7 @@ def track_acceleration(
     met_depth,
     velocity_prev,
     acceleration_prev,
+    bend_prev,
     view_velocity_prev,
     ratio,
     to_previous,
@@ -74,53 +138,33 @@ def track_acceleration(
         p0 = unproject(px, depth, to_previous[4])
         p1_prev = unproject(px_prev, met_depth, from_previous[4])
         p1 = move(p1_prev, from_previous)
+    movers, pasts = {}, {}
     for y, x in np.ndindex(cells):
         rows, columns = range(side * y, min(side * y + side, height)), range(side * x, min(side * x + side, width))
         inside = [(j, i) for j in rows for i in columns if known[j, i]]
         mover = _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth)
-        if mover is None:
-            continue
-        v, v_seen, at, z, z_prev = mover
+        if mover is not None:
+            movers[y, x] = mover
+            pasts[y, x] = _past_of(mover, velocity_prev, acceleration_prev, bend_prev, view_velocity_prev)
+    for (y, x), (v, v_seen, _, z, _) in movers.items():
         velocity[y, x] = (*v, z)
         view_velocity[y, x, :3] = v_seen
-        at = at / F(side) - F(0.5)
-        x0, y0 = map(int, np.floor(at))
-        was, seen, before, weights, before_weights = np.zeros(3, F), np.zeros(3, F), np.zeros(3, F), F(0), F(0)
-        was_carried = carried = False
-        for tap in range(4):
-            i, j = x0 + (tap & 1), y0 + (tap >> 1)
-            if not (0 <= i < cells[1] and 0 <= j < cells[0]):
-                continue
-            v_prev, a_prev = velocity_prev[j, i], acceleration_prev[j, i]
-            if not v_prev[3] > 0 or not _is_of_cell(v_prev[3], z_prev):
-                continue
-            u, w = at - (x0, y0)
-            weight = F(u if tap & 1 else 1 - u) * F(w if tap >> 1 else 1 - w)
-            was, weights = was + weight * v_prev[:3], weights + weight
-            seen = seen + weight * view_velocity_prev[j, i, :3]
-            was_carried |= view_velocity_prev[j, i, 3] > 0
-            if a_prev[3] >= 0:
-                before, before_weights = before + weight * a_prev[:3], before_weights + weight
-        if not weights > 0:
+        if pasts[y, x] is None:
             continue
-        was, seen = ratio * rotate(was / weights, from_previous), ratio * (seen / weights)
-        if camera_fixed:
-            change, in_world = ((v_seen - seen) ** 2).sum(), ((v - was) ** 2).sum()
-            if was_carried:
-                carried = change < F(ACCELERATION.STILL_IN_VIEW) * in_world
-            else:
-                shaken = F(ACCELERATION.SHAKEN) * z
-                carried = change < F(ACCELERATION.IN_VIEW) * in_world and in_world > shaken * shaken
+        was, seen, before, was_carried, spun = pasts[y, x]
+        was, seen = ratio * rotate(was, from_previous), ratio * seen
+        carried = camera_fixed and _is_carried((y, x), movers, pasts, ratio, from_previous)
         if carried:
             v, was = v_seen, seen
             view_velocity[y, x, 3] = 1
         found = (v - was) * (ratio / (1 + ratio))
-        share, later = F(ACCELERATION.FIRST), found
-        if before_weights > 0 and carried == was_carried:
-            before = ratio * ratio * (before / before_weights)
+        share, later, center = F(ACCELERATION.FIRST), found, None
+        if before is not None and carried == was_carried:
+            before = ratio * ratio * before
             before = before if carried else rotate(before, from_previous)
             share, later = _lasted(v, found, before), _carried_on(found, before)
-        acceleration[y, x] = (*found, _trust(v, found, share))
-        bend[y, x, :3] = acceleration[y, x, 3] * later
-    bend[..., 3] = np.maximum(acceleration[..., 3], F(0))
+            center = _center_velocity(v, found, before, spun, z * to_previous[4][0])
+        trust = F(0) if center is not None else _trust(v, found, share)
+        acceleration[y, x] = (*found, trust)
+        bend[y, x] = (*(trust * later), trust) if center is None else (*center, -1)
     return velocity, _as_packed(acceleration), _as_packed(bend), _as_packed(view_velocity)

@@ -38,12 +38,15 @@ def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=
         velocity, _, bend, seen = (a.repeat(side, 0).repeat(side, 1)[:height, :width] for a in movers)
         with np.errstate(invalid="ignore"):
             near = np.abs(depth - velocity[..., 3]) <= PREDICTION.CELL_TOLERANCE * velocity[..., 3]
-        step = F(alpha) * (F(alpha) + F(1)) * bend[..., :3]
+        spins = near & (bend[..., 3] < 0)
+        step = np.where(spins, F(1), F(alpha) + F(1))[..., None] * (F(alpha) * bend[..., :3])
+        predicted = np.where(spins[..., None], p0, predicted)
         predicted = np.where(((known > 0) & near)[..., None], predicted + step, predicted)
     target = move(predicted, to_target)
     if movers:
         carried = (known > 0) & near & (seen[..., 3] > 0)
-        target = np.where(carried[..., None], p0 + (weights[0, 0] * (in_previous - p0) + step), target)
+        linear = np.where(spins[..., None], F(0), weights[0, 0] * (in_previous - p0))
+        target = np.where(carried[..., None], p0 + (linear + step), target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
     out[dynamic > 0] = moved[dynamic > 0]
     fixed = dynamic == PREDICTION.FIXED_TO_CAMERA

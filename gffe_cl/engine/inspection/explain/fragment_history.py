@@ -63,25 +63,24 @@ class Fragment:
         if (target := values.get(names.TARGET_POSITION)) is not None and target.flat[2] > 0:
             path.append((float(target.flat[0]), float(target.flat[1])))
         used = min(len(known), pipeline.options.order) if shot.moment.alpha else -1
-        bend, carried = _of_mover(pipeline, layers, at, depth) if used == 1 else (0.0, False)
-        mover = (used, bend, carried)
+        mover = (used, *(_of_mover(pipeline, layers, at, depth) if used == 1 else (0.0, False, False)))
         sentences = _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, threshold, mover)
         at = int(at[0]), int(at[1])
         return cls(tuple(point for point in path if point), dynamic, residual, threshold, sentences, at)
 
 
-def _of_mover(pipeline, layers, at, depth: float) -> tuple[float, bool]:
+def _of_mover(pipeline, layers, at, depth: float) -> tuple[float, bool, bool]:
     """Return how much of its mover's acceleration counts for the fragment at source pixel `at`, 0 to 1, and whether the
-    camera carries that mover."""
+    camera carries that mover, and whether it spins."""
     if names.ACCELERATION not in layers:
-        return 0.0, False
-    cell = (layers[name] for name in (names.VELOCITY, names.ACCELERATION, names.VIEW_VELOCITY))
+        return 0.0, False, False
+    cell = (layers[name] for name in (names.VELOCITY, names.BEND, names.VIEW_VELOCITY))
     where = (at[0] // _CELLS["MOVER_CELL"], at[1] // _CELLS["MOVER_CELL"], 1, 1)
     values = read_blocks(pipeline, {layer.spec.name: (layer, *where) for layer in cell})
     mover_depth, trust, carried = (float(array.flat[3]) for array in values.values())
     if abs(depth - mover_depth) > _CELLS["CELL_TOLERANCE"] * mover_depth:
-        return 0.0, False
-    return max(trust, 0.0), carried > 0
+        return 0.0, False, False
+    return max(trust, 0.0), carried > 0, trust < 0
 
 
 def _fragment_that_landed(pipeline, layers, at, pixel, inside: bool, dynamic: bool) -> tuple[int, int]:
@@ -118,7 +117,7 @@ def _residual(static: np.ndarray | None, motion, error) -> float | None:
 
 
 def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, threshold, mover) -> tuple[str, ...]:
-    used, bend, carried = mover
+    used, bend, carried, spins = mover
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
     if depth == np.inf:
@@ -158,6 +157,9 @@ def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 
                 " there, before the new camera."
             )
             said.append(Step(moves_on, Link("velocity in view space", names.VIEW_VELOCITY)))
+        if spins:
+            turned = "It spins by more than a quarter of a turn in an interval. So it moves on as its center does."
+            said.append(Step(turned, Link("acceleration", names.ACCELERATION)))
         if bend > 0:
             bent = f"{bend:.0%} of its acceleration counts too, by what the interval before shows of it."
             said.append(Step(bent, Link("acceleration", names.ACCELERATION)))
