@@ -472,8 +472,7 @@ INLINE float4 change_around(const int k, __local const Side *side, __constant Fr
     if (!side->meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
     const float z = depth[dst];
     float3 code;
-    if (!is_as_far(inverse_of(z), side->inverse)
-        || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
+    if (!is_as_far(inverse_of(z), side->inverse) || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
         return unknown;
     const float3 change = load_code(color, dst, frame->code_offset) - code;
     return (float4)(code, squared(change));

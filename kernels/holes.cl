@@ -315,8 +315,7 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
                                  __global const uchar *filled_by, __global const half *codes,
                                  __global const float *source_depth, __global const uchar *source_is_dynamic,
                                  __global const uchar *is_dynamic, __global const float *border_lines,
-                                 __global half *color, __global float *depth,
-                                 __global float2 *motion) {
+                                 __global half *color, __global float *depth, __global float2 *motion) {
     __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.filled_by = filled_by,
                            .codes = codes,
