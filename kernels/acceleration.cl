@@ -22,7 +22,7 @@
 #define IN_VIEW 0.25f
 #define IN_VIEW_AROUND 0.5f
 #define LEANS 0.75f
-#define AROUND 3            /* cells to those around: of a 3x3 */
+#define NEXT_CELLS 3 /* cells to those around: of a 3x3 */
 #define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
 /* SHAKEN: a mover begins to be carried only where its velocity in the world has changed by more than this share of
    its distance: without a shake both spaces fit */
@@ -227,7 +227,7 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     for (; asked < 10;
          ++asked) { /* this cell; where it leans, the eight around, and it again: few registers stay in use */
         const int place = (asked + 4) % 9;
-        const int x = cell_x + (place % 3 - 1) * AROUND, y = cell_y + (place / 3 - 1) * AROUND;
+        const int x = cell_x + (place % 3 - 1) * NEXT_CELLS, y = cell_y + (place / 3 - 1) * NEXT_CELLS;
         if (!inside(x, y, level_width, level_height)) continue;
         mover = mover_of_cell(x, y, frame, fragments);
         if (asked == 0) depth_here = mover.depth;

@@ -29,7 +29,7 @@
 #define EXPLAINED 0.5f /* the flow is followed if it leaves less than this part of the squared difference, ... */
 #define UNLIKE 0.0003f /* ... which must be more than this, ... */
 #define LONGEST_FLOW 48 /* ... if each way it is shorter than this part of the width, ... */
-#define SMOOTH 2.0f /* ... varies by less than this each way between neighbors, in pixels of level 0, ... */
+#define FLOW_VARIES 2.0f /* ... varies by less than this each way between neighbors, in pixels of level 0, ... */
 #define BENT 0.1f /* ... where inverse depth bends by less than this part between three pixels */
 #define INVERSE_DEPTH 6 /* plane of the network's frames */
 
@@ -348,7 +348,7 @@ INLINE Ints varies(__local const float *near, const int x, const int y) {
             least = wide_lesser(least, other);
             most = wide_greater(most, other);
         }
-        much |= !(most - least < SMOOTH);
+        much |= !(most - least < FLOW_VARIES);
     }
     return much;
 }

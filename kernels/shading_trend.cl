@@ -12,7 +12,7 @@
 /* SPACING_SHARE: rows of the image per cell from one of the 5x5 cells around to the next: their sigma is about a 34th
    of its height */
 #define SPACING_SHARE 240
-#define AROUND 2 /* of these cells, each way */
+#define TREND_CELLS 2 /* of these cells, each way */
 #define CELL 8
 #define SAMPLE_STRIDE 4        /* px, from the second pixel of a cell on */
 #define MOST_CHANGE 1048576.0f /* factor of one pixel's color: products over a cell stay within floats */
@@ -136,12 +136,12 @@ WIDE __kernel void find_trend(__constant Frame *restrict frame, __global const f
     const int plane = cells_width * cells_height, cell = cell_y * cells_width + cell_x;
     Floats sum[CHANGES];
     for (int c = 0; c < CHANGES; ++c) sum[c] = 0.0f;
-    for (int dy = -AROUND; dy <= AROUND; ++dy) {
+    for (int dy = -TREND_CELLS; dy <= TREND_CELLS; ++dy) {
         const int y = cell_y + dy * spacing;
         if (y < 0 || y >= cells_height) continue;
-        for (int dx = -AROUND; dx <= AROUND; ++dx) {
+        for (int dx = -TREND_CELLS; dx <= TREND_CELLS; ++dx) {
             const Ints x = cell_x + dx * spacing + LANE_NUMBERS, there = clamp(x, (Ints)(0), (Ints)(cells_width - 1));
-            const float share = (float)((AROUND + 1 - abs(dx)) * (AROUND + 1 - abs(dy))) * (1.0f / 81.0f);
+            const float share = (float)((TREND_CELLS + 1 - abs(dx)) * (TREND_CELLS + 1 - abs(dy))) * (1.0f / 81.0f);
             const Floats weight = x == there ? (Floats)(share) : (Floats)(0.0f);
             for (int c = 0; c < CHANGES; ++c)
                 sum[c] += weight * gather_floats(changes + c * plane + y * cells_width, there);

@@ -92,7 +92,7 @@ def _is_carried(cell, movers, pasts, ratio, from_previous):
         return False
     total = own
     for dy, dx in np.ndindex(3, 3):
-        other = cell[0] + (dy - 1) * ACCELERATION.AROUND, cell[1] + (dx - 1) * ACCELERATION.AROUND
+        other = cell[0] + (dy - 1) * ACCELERATION.NEXT_CELLS, cell[1] + (dx - 1) * ACCELERATION.NEXT_CELLS
         if other != cell and pasts.get(other) and _is_of_cell(movers[other][3], mover[3]):
             total = total + _changes(movers[other], pasts[other], ratio, from_previous)
     most = ACCELERATION.LEANS if own[0] < F(ACCELERATION.IN_VIEW) * own[1] else ACCELERATION.IN_VIEW_AROUND

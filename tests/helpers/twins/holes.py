@@ -156,9 +156,11 @@ def surface_behind(met):
 
 
 class _Side(NamedTuple):
-    """What a direction from a hole meets: the pixel `q` beside it, inverse depth, color code, and weight; whether it is
-    `of_mover`; continued to the hole, whether it is `outside` of the rendered image, and whether it `can_be_there`; the
-    pixel of the rendered frame that shows what is `behind` its edge, if it ends there."""
+    """A direction from a hole, and what it meets.
+
+    The pixel `q` beside the hole, inverse depth, color code, and weight; whether it is `of_mover`; continued to the
+    hole, whether it is `outside` of the rendered image, and whether it `can_be_there`; the pixel of the rendered frame
+    that shows what is `behind` its edge, if it ends there."""
 
     q: tuple
     inverse: F

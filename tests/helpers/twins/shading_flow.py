@@ -123,7 +123,7 @@ def find_followed(frames, flow):
     follows = (still > FLOW.UNLIKE) & (along < FLOW.EXPLAINED * still)
     follows &= (np.abs(finer) < F(now.shape[1]) * (F(1) / F(FLOW.LONGEST_FLOW))).all(0)
     around = sliding_window_view(np.pad(finer, ((0, 0), (1, 1), (1, 1)), mode="edge"), (3, 3), axis=(1, 2))
-    follows &= (around.max((-1, -2)) - around.min((-1, -2)) < FLOW.SMOOTH).all(0)
+    follows &= (around.max((-1, -2)) - around.min((-1, -2)) < FLOW.FLOW_VARIES).all(0)
     inverse = frames[FLOW.INVERSE_DEPTH]
     p, most = np.pad(inverse, 1, mode="edge"), FLOW.BENT * inverse
     across = p[1:-1, :-2] + p[1:-1, 2:] - F(2) * inverse

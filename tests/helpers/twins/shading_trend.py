@@ -66,7 +66,7 @@ def find_change(changed_samples):
 
 def find_trend(changes, spacing):
     """Return (4, h, w): means over the neighborhood of what is known, and the share that is."""
-    around = TREND.AROUND
+    around = TREND.TREND_CELLS
     _, height, width = changes.shape
     padded = np.pad(changes, ((0, 0), *[(around * spacing,) * 2] * 2))
     changes = np.zeros_like(changes)
