@@ -2,8 +2,9 @@
    through P_0 ... P_m at their real times. Static fragments, LANES at once, are only reprojected; those fixed to the
    camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
    to in the frame before, at the depth met there. Where the frame before does not show a mover's fragment, which came
-   into view, that depth is the one of a static fragment. The trusted part of a mover's acceleration (acceleration.cl)
-   is added to the linear prediction; what spins moves as its center does. */
+   into view, that depth is the one of a static fragment; at the border of the image it changes as it does for the
+   mover's nearest fragment whose depth is known. The trusted part of a mover's acceleration (acceleration.cl) is added
+   to the linear prediction; what spins moves as its center does. */
 
 #include "frame.h"
 #include "simd.h"
@@ -13,6 +14,9 @@
 /* What set the thresholds: docs/deviations.md, "Movers that come into view go on as they came". */
 #define NOWHERE -1.0e9f  /* px: far off any image */
 #define ENTERS_FROM 0.5f /* of the image's width: motion vectors from farther outside are not believed */
+#define INWARD_STEP 4    /* px: between fragments that are looked at from the border inward ... */
+#define INWARD_STEPS 60
+#define ONE_MOVER 0.1f   /* relative change of depth between them, within which they are of one mover */
 
 /* The rendered frame, and the known motion of its fragments; `velocity` and `bend` are of the movers' grid. */
 typedef struct {
@@ -29,14 +33,29 @@ INLINE float3 bent(const int cell, const Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
-/* The depth in the frame before of a dynamic fragment that was at px_prev, where that frame does not show it: that of a
-   static one; 0: so far out of the image that its motion is not believed. */
-INLINE float entering_depth(const float2 px, const float2 px_prev, const float z, const Frame *frame) {
-    const float width = (float)frame->source_width, height = (float)frame->source_height, most = ENTERS_FROM * width;
-    if (!(fabs(px_prev.x - 0.5f * width) <= 0.5f * width + most)
-        || !(fabs(px_prev.y - 0.5f * height) <= 0.5f * height + most))
-        return 0.0f;
-    return fmax(reproject(px, z, frame->to_previous).z, 0.0f);
+/* The depth in the frame before of a dynamic fragment that was at px_prev, where that frame does not show it; 0: so far
+   out of the image that its motion is not believed. Inside, where something hid it, it is that of a static surface.
+   Outside it is the fragment's own depth times the ratio that the nearest known fragment of its mover has, straight
+   inward from that border; of a static surface without any. */
+INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, const Frame *frame,
+                            const Tracked f) {
+    const int width = frame->source_width, height = frame->source_height, src = src_y * width + src_x;
+    const float out_x = fmax(-px_prev.x, px_prev.x - (float)width), out_y = fmax(-px_prev.y, px_prev.y - (float)height);
+    const float out = fmax(out_x, out_y), most = ENTERS_FROM * (float)width;
+    if (!(out <= most) || isnan(out_x) || isnan(out_y)) return 0.0f;
+    const int dx = out_x < out_y ? 0 : px_prev.x < 0.0f ? 1 : -1, dy = out_x < out_y ? (px_prev.y < 0.0f ? 1 : -1) : 0;
+    const float z = f.depth[src];
+    float z_before = z;
+    for (int k = 1; out > 0.0f && k <= INWARD_STEPS; ++k) {
+        const int x = src_x + k * INWARD_STEP * dx, y = src_y + k * INWARD_STEP * dy, i = y * width + x;
+        if (!inside(x, y, width, height) || f.dynamic_mask[i] != DYNAMIC) break;
+        const float z_there = f.depth[i];
+        if (!(fabs(z_there - z_before) <= ONE_MOVER * z_before)) break;
+        if (f.met_depth[i] > 0.0f) return z * divide(f.met_depth[i], z_there);
+        z_before = z_there;
+    }
+    const float z_static = reproject(pixel_center(src_x, src_y), z, frame->to_previous).z;
+    return z_static > 0.0f ? z_static : 0.0f;
 }
 
 /* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */
@@ -53,7 +72,7 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
     if (f.dynamic_mask[src] == FIXED_TO_CAMERA) return (float3)(project(p0, frame->to_target.target), z);
     const float2 px_prev = pixel_center(src_x, src_y) + f.motion[src];
     float met = f.met_depth[src];
-    if (frame->entering && !(met > 0.0f)) met = entering_depth(pixel_center(src_x, src_y), px_prev, z, frame);
+    if (frame->entering && !(met > 0.0f)) met = entering_depth(src_x, src_y, px_prev, frame, f);
     int known = frame->order > 0 && met > 0.0f;
     while (known > 0 && known < frame->order && f.history[known * plane + src].w != 0.0f) ++known;
     const float4 a = frame->polynomial[0], b = frame->polynomial[1], c = frame->polynomial[2], d = frame->polynomial[3];

@@ -12,11 +12,29 @@ def entering_depth(depth, motion, dynamic, met_depth, to_previous):
     height, width = depth.shape
     px = centers(height, width)
     before = px + motion
-    size = np.array((width, height), F)
     with np.errstate(invalid="ignore"):
-        close = (np.abs(before - F(0.5) * size) <= F(0.5) * size + F(PREDICTION.ENTERS_FROM) * F(width)).all(-1)
+        out = np.maximum(-before, before - np.array((width, height), F))
+        entered = (dynamic > 0) & ~(met_depth > 0) & (out.max(-1) <= PREDICTION.ENTERS_FROM * width)
         static = reproject(px, depth, to_previous)[..., 2]
-    return np.where((dynamic > 0) & ~(met_depth > 0) & close, np.maximum(static, F(0)), met_depth)
+    found = met_depth.copy()
+    for y, x in np.argwhere(entered):
+        axis = int(out[y, x, 0] < out[y, x, 1])
+        d = [0, 0]
+        d[axis] = 1 if before[y, x, axis] < 0 else -1
+        z = depth[y, x]
+        found[y, x] = max(static[y, x], 0)
+        z_before = z
+        for k in range(1, PREDICTION.INWARD_STEPS + 1) if out[y, x].max() > 0 else ():
+            there = y + k * PREDICTION.INWARD_STEP * d[1], x + k * PREDICTION.INWARD_STEP * d[0]
+            if not (0 <= there[0] < height and 0 <= there[1] < width) or dynamic[there] != PREDICTION.DYNAMIC:
+                break
+            if not abs(depth[there] - z_before) <= PREDICTION.ONE_MOVER * z_before:
+                break
+            if met_depth[there] > 0:
+                found[y, x] = z * (met_depth[there] / depth[there])
+                break
+            z_before = depth[there]
+    return found
 
 
 def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None, in_previous=None):
