@@ -31,9 +31,11 @@
 
 #define NO_MOTION 0.001f /* px: each component of less, with rounding, is within epsilon ... */
 #define LEAST_THRESHOLD 0.01f /* ... if that is at least so much */
+#define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
+#define DEPTH_CHANGE_MOST 0.12f /* relative, in an interval, of a surface that fills the neighborhood of x' */
 
 INLINE float squared_distance(const float2 a, const float2 b) {
     const float dx = a.x - b.x, dy = a.y - b.y;
@@ -312,7 +314,38 @@ INLINE float depth_met(const float2 px_prev, const float z_expected, const float
             *nearest = tap_y * source_width + tap_x;
         }
     }
-    return weight_sum > 0.0f ? divide(sum, weight_sum) : -1.0f;
+    if (weight_sum > 0.0f) return divide(sum, weight_sum);
+
+    const int near_x = (int)floor(px_prev.x), near_y = (int)floor(px_prev.y);
+    float found = -1.0f, closest = INFINITY;
+    for (int dy = -SEARCH_RADIUS; dy <= SEARCH_RADIUS; ++dy)
+        for (int dx = -SEARCH_RADIUS; dx <= SEARCH_RADIUS; ++dx) {
+            const int tap_x = near_x + dx, tap_y = near_y + dy;
+            if (!inside(tap_x, tap_y, source_width, source_height)) continue;
+            const float z = depth_prev[tap_y * source_width + tap_x];
+            const float distance = squared_distance(pixel_center(tap_x, tap_y), px_prev);
+            if (distance < closest && plausible(z, z_expected, tolerance)) {
+                closest = distance;
+                found = z;
+                *nearest = tap_y * source_width + tap_x;
+            }
+        }
+    if (found > 0.0f) return found;
+
+    /* A surface that comes straight towards the camera: its depth changes without sideways motion. Believed where all
+       four taps agree among themselves, so that x' cannot have slipped off an edge. */
+    float low = INFINITY, high = -INFINITY;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
+        if (!inside(tap_x, tap_y, source_width, source_height)) return -1.0f;
+        const float z = depth_prev[tap_y * source_width + tap_x];
+        if (!plausible(z, z_expected, DEPTH_CHANGE_MOST * z_expected)) return -1.0f;
+        low = fmin(low, z);
+        high = fmax(high, z);
+        sum += bilinear_weight(tap, u, v) * z;
+    }
+    *nearest = (u < 0.5f ? y0 * source_width + x0 : y0 * source_width + x0 + 1) + (v < 0.5f ? 0 : source_width);
+    return high - low <= DEPTH_TOLERANCE * low ? sum : -1.0f;
 }
 
 /* The rendered frame and the one before, and the results for dynamic fragments. */

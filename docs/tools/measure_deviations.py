@@ -91,7 +91,9 @@ GAE: dict[str, Change] = {
     ),
     "edges are as sharp as earlier frames were": Change({"sharpness": False}),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
-    "the surface met at x' is checked": Change(constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f"}}),
+    "the surface met at x' is checked": Change(
+        constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
+    ),
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={

@@ -177,7 +177,33 @@ def _depth_met(px, expected, tolerance, depth_prev):
         weights = weights + weight
         if weight > heaviest:
             heaviest, nearest = weight, y * width + x
-    return (total / weights if weights > 0 else F(-1)), nearest
+    if weights > 0:
+        return total / weights, nearest
+    found, closest = F(-1), INF
+    xc, yc = int(np.floor(px[0])), int(np.floor(px[1]))
+    around = range(-HISTORY.SEARCH_RADIUS, HISTORY.SEARCH_RADIUS + 1)
+    for y in (yc + k for k in around):
+        for x in (xc + k for k in around):
+            if not (0 <= x < width and 0 <= y < height):
+                continue
+            dx, dy = F(x + 0.5) - px[0], F(y + 0.5) - px[1]
+            distance = dx * dx + dy * dy
+            if distance < closest and plausible(depth_prev[y, x]):
+                closest, found, nearest = distance, depth_prev[y, x], y * width + x
+    if found > 0:
+        return found, nearest
+    taps = []
+    for tap in range(4):
+        x, y = x0 + (tap & 1), y0 + (tap >> 1)
+        if not (0 <= x < width and 0 <= y < height):
+            return F(-1), nearest
+        z = depth_prev[y, x]
+        if not (z > 0 and not np.isinf(z) and abs(z - expected) <= HISTORY.DEPTH_CHANGE_MOST * expected):
+            return F(-1), nearest
+        taps.append(z)
+        total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * z
+    nearest = (y0 + (v >= 0.5)) * width + x0 + (u >= 0.5)
+    return (total if max(taps) - min(taps) <= HISTORY.DEPTH_TOLERANCE * min(taps) else F(-1)), nearest
 
 
 def fixed_to_camera(depth, motion, moves, z_static, to_previous, depth_prev):
