@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from twins.common import F, centers, invalid, kernel_constants, move, reproject, unproject
+from twins.common import INF, F, centers, invalid, kernel_constants, move, reproject, unproject
 from twins.warp import _shifted
 
 HISTORY = kernel_constants("history.cl")
