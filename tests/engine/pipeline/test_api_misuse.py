@@ -267,7 +267,7 @@ def file_calls(folder):
         ),
         "open_sequence": Call(open_sequence, {"path": folder / "good", "cameras": "needed", "mend": None}),
         "open_capture": Call(gffe_cl.open_capture, {"path": folder / "good", "cameras": "needed"}),
-        "Sequence.at": Call(sequence.at, moment | {"source": None}),
+        "Sequence.at": Call(sequence.at, moment),
         "Sequence.camera_at": Call(sequence.camera_at, {"time": 0.0}),
         "Sequence.nearest": Call(sequence.nearest, moment),
         "Sequence.near_miss": Call(sequence.near_miss, moment),

@@ -77,7 +77,8 @@ def test_holes_are_filled_with_surroundings(device):
     end = camera(W, H, (1.5, 0, 0.3), 0.2)
     out = pipeline.extrapolate(end, 2.5 / 30)
     holes = out.numpy("disoccluded") == 1
-    assert holes.any() and (out.numpy("filled_by") == 255)[holes].all()
+    filled_by = out.numpy("filled_by")[holes]
+    assert np.isin(filled_by, (1, 255)).all() and (filled_by == 255).mean() > 0.9
     assert np.isfinite(out.numpy("color")).all() and (out.numpy("depth") > 0).all()
     assert (out.numpy("color")[holes] > 0.05).all() and (out.numpy("depth")[holes] < 20).all()
     y, x = np.mgrid[:H, :W] + 0.5
