@@ -345,7 +345,7 @@ class SlotMaker:
         if seeker.truth is not None:
             values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
         if seeker.focus is not None:
-            values.here[names.FOCUS_TRUTH] = seeker.focus[y, x]
+            values.here[names.FOCUS_TRUTH] = seeker.focus[y, x : x + 1]
         return Inspection((x, y), self.key.slot, story.source, values.here, story, fault, values.origin)
 
 
