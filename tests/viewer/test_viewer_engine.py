@@ -465,7 +465,7 @@ def test_the_true_focus_mask(device, monkeypatch):
             assert images["focus_truth"].dtype == np.uint8 and (images["focus_truth"] == expected).all()
         assert 0.1 < expected.mean() < 0.6
         y, x = np.argwhere(expected)[0]
-        assert inspect(engine, x, y, 9, Setup()).values["focus_truth"] == 1
+        assert inspect(engine, x, y, 9, Setup()).values["focus_truth"].tolist() == [1]
         assert "focus_truth" not in ask(engine, 12, Setup(), "all").images
 
 
