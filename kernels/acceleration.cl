@@ -97,13 +97,6 @@ INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame 
     return mover;
 }
 
-INLINE float product_of(const float3 a, const float3 b) {
-    const float3 products = a * b;
-    return products.x + products.y + products.z;
-}
-
-INLINE float squared_length(const float3 v) { return product_of(v, v); }
-
 /* The share of an acceleration that goes on, 0 to 1: what there was of it an interval before, and more of it where a
    mover slows down. */
 INLINE float lasted(const float3 velocity, const float3 acceleration, const float3 before) {

@@ -427,8 +427,6 @@ INLINE float3 color_around(const int winner, const int texel_x, const int texel_
 
 #define MIXED_REACH 16 /* px beyond which the far side does not represent the remembered surface */
 
-INLINE float squared(const float3 c) { return c.x * c.x + c.y * c.y + c.z * c.z; }
-
 #define FAR_COUNTS 0.5f /* px: weight of the far side per 1 / distance, a remembered color having 1 */
 #define BEYOND_EDGE 4 /* px beyond the edge of a hole, where colors do not change with the mover's outline */
 #define LEAST_CHANGE 0.001f /* squared change around, by which remembered colors count half; white is 1 */
@@ -475,7 +473,7 @@ INLINE float4 change_around(const int k, __local const Side *side, __constant Fr
     if (!is_as_far(inverse_of(z), side->inverse) || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
         return unknown;
     const float3 change = load_code(color, dst, frame->code_offset) - code;
-    return (float4)(code, squared(change));
+    return (float4)(code, squared_length(change));
 }
 
 /* How far a remembered color is out of date, 0 to 1: as colors around have changed since the frame before, unless it
@@ -490,7 +488,7 @@ INLINE float staleness(const float3 remembered, __local const float4 *changes, c
     }
     if (!(known > 0.0f)) return 0.0f;
     const float white = display_white(offset), change = divide(sum.w, known);
-    const float contrast = squared(remembered - mean_of(sum.xyz, known));
+    const float contrast = squared_length(remembered - mean_of(sum.xyz, known));
     return divide(change, change + CONTRAST_COUNTS * contrast + 3.0f * LEAST_CHANGE * white * white);
 }
 

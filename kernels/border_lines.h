@@ -18,9 +18,9 @@ INLINE void find_lines(const int cell_x, const int cell_y, __constant Frame *fra
             const int src = y * width + x;
             const float3 dx = 0.5f * (stored_code(codes, src + 1) - stored_code(codes, src - 1));
             const float3 dy = 0.5f * (stored_code(codes, src + width) - stored_code(codes, src - width));
-            xx += dx.x * dx.x + dx.y * dx.y + dx.z * dx.z;
-            xy += dx.x * dy.x + dx.y * dy.y + dx.z * dy.z;
-            yy += dy.x * dy.x + dy.y * dy.y + dy.z * dy.z;
+            xx += squared_length(dx);
+            xy += product_of(dx, dy);
+            yy += squared_length(dy);
         }
     const int cell = cell_y * frame->cells_width + cell_x, plane = frame->cells_width * frame->cells_height;
     border_lines[cell] = xx;

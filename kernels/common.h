@@ -98,6 +98,11 @@ INLINE float3 unproject(const float2 px, const float z, const Pinhole inverse) {
     return (float3)((px.x - inverse.z) * inverse.x * scale, (px.y - inverse.w) * inverse.y * scale, scale);
 }
 
+/* The dot product, in the same order of additions on every device. */
+INLINE float product_of(const float3 a, const float3 b) { return a.x * b.x + a.y * b.y + a.z * b.z; }
+
+INLINE float squared_length(const float3 v) { return product_of(v, v); }
+
 INLINE float3 rotate_to_target(const float3 v, const Reprojection r) {
     return (float3)(r.row0.x * v.x + r.row0.y * v.y + r.row0.z * v.z, r.row1.x * v.x + r.row1.y * v.y + r.row1.z * v.z,
                     r.row2.x * v.x + r.row2.y * v.y + r.row2.z * v.z);
