@@ -3,8 +3,8 @@
    camera keep their place in view space, those it carries move on there; P_1 is where the fragment's motion points
    to in the frame before, at the depth met there. Where the frame before does not show a mover's fragment, which came
    into view, that depth is the one of a static fragment; at the border of the image it changes as it does for the
-   mover's nearest fragment whose depth is known. The trusted part of a mover's acceleration (acceleration.cl) is added
-   to the linear prediction; what spins moves as its center does. */
+   mover's nearest fragment whose depth is known, or as the motion of its fragments shows. The trusted part of a mover's
+   acceleration (acceleration.cl) is added to the linear prediction; what spins moves as its center does. */
 
 #include "frame.h"
 #include "simd.h"
@@ -17,6 +17,8 @@
 #define INWARD_STEP 4    /* px: between fragments that are looked at from the border inward ... */
 #define INWARD_STEPS 60
 #define ONE_MOVER 0.1f   /* relative change of depth between them, within which they are of one mover */
+#define LEAST_SPREAD 2.0f /* px: standard deviation of fragments whose motion is believed half */
+#define LEAST_BEFORE 0.25f /* of its depth: at least so far from the camera was what enters */
 
 /* The rendered frame, and the known motion of its fragments; `velocity` and `bend` are of the movers' grid. */
 typedef struct {
@@ -33,10 +35,38 @@ INLINE float3 bent(const int cell, const Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
+/* Sums over fragments of a mover, for its translation T. Fragments that were at S in the view space of the frame
+   before, had they been at rest, were in the direction a = (x / z, y / z) there, to which their motion points. So
+   T.xy - a T.z = a S.z - S.xy =: b. Values are relative to those of the first fragment. */
+typedef struct {
+    float4 first, sum; /* a, b */
+    float aa, ab, count;
+} Translation;
+
+INLINE void add_fragment(const float2 px, const float2 px_prev, const float z, const Frame *frame, Translation *t) {
+    const Pinhole inverse = frame->from_previous.source_inverse;
+    const float3 rested = move_to_target(unproject(px, z, frame->to_target.source_inverse), frame->to_previous);
+    const float2 a = (px_prev - inverse.zw) * inverse.xy, b = a * rested.z - rested.xy;
+    if (t->count == 0.0f) t->first = (float4)(a, b);
+    const float4 off = (float4)(a, b) - t->first;
+    t->sum += off;
+    t->aa += off.x * off.x + off.y * off.y;
+    t->ab += off.x * off.z + off.y * off.w;
+    t->count += 1.0f;
+}
+
+/* T.z by least squares, less where all fragments lie within a few pixels. */
+INLINE float translation_in_depth(const Translation t, const Frame *frame) {
+    const float share = divide(1.0f, t.count), least = LEAST_SPREAD * frame->from_previous.source_inverse.x;
+    const float aa = t.aa - share * (t.sum.x * t.sum.x + t.sum.y * t.sum.y);
+    const float ab = t.ab - share * (t.sum.x * t.sum.z + t.sum.y * t.sum.w);
+    return -divide(ab, aa + t.count * least * least);
+}
+
 /* The depth in the frame before of a dynamic fragment that was at px_prev, where that frame does not show it; 0: so far
    out of the image that its motion is not believed. Inside, where something hid it, it is that of a static surface.
    Outside it is the fragment's own depth times the ratio that the nearest known fragment of its mover has, straight
-   inward from that border; of a static surface without any. */
+   inward from that border; without any, that of the translation which the motion of the fragments met shows. */
 INLINE float entering_depth(const int src_x, const int src_y, const float2 px_prev, const Frame *frame,
                             const Tracked f) {
     const int width = frame->source_width, height = frame->source_height, src = src_y * width + src_x;
@@ -45,17 +75,24 @@ INLINE float entering_depth(const int src_x, const int src_y, const float2 px_pr
     if (!(out <= most) || isnan(out_x) || isnan(out_y)) return 0.0f;
     const int dx = out_x < out_y ? 0 : px_prev.x < 0.0f ? 1 : -1, dy = out_x < out_y ? (px_prev.y < 0.0f ? 1 : -1) : 0;
     const float z = f.depth[src];
-    float z_before = z;
-    for (int k = 1; out > 0.0f && k <= INWARD_STEPS; ++k) {
-        const int x = src_x + k * INWARD_STEP * dx, y = src_y + k * INWARD_STEP * dy, i = y * width + x;
-        if (!inside(x, y, width, height) || f.dynamic_mask[i] != DYNAMIC) break;
-        const float z_there = f.depth[i];
-        if (!(fabs(z_there - z_before) <= ONE_MOVER * z_before)) break;
-        if (f.met_depth[i] > 0.0f) return z * divide(f.met_depth[i], z_there);
-        z_before = z_there;
-    }
     const float z_static = reproject(pixel_center(src_x, src_y), z, frame->to_previous).z;
-    return z_static > 0.0f ? z_static : 0.0f;
+    if (!(out > 0.0f)) return fmax(z_static, 0.0f);
+    Translation t = {(float4)(0.0f), (float4)(0.0f), 0.0f, 0.0f, 0.0f};
+    for (int way = INWARD_STEP; way >= -INWARD_STEP; way -= 2 * INWARD_STEP) { /* inward, then back to the border */
+        float z_before = z;
+        for (int k = way > 0 ? 0 : 1; k <= INWARD_STEPS; ++k) {
+            const int x = src_x + k * way * dx, y = src_y + k * way * dy, i = y * width + x;
+            if (!inside(x, y, width, height) || f.dynamic_mask[i] != DYNAMIC) break;
+            const float z_there = f.depth[i];
+            if (!(fabs(z_there - z_before) <= ONE_MOVER * z_before)) break;
+            if (f.met_depth[i] > 0.0f) return z * divide(f.met_depth[i], z_there);
+            const float2 px = pixel_center(x, y), shift = f.motion[i];
+            if (!(fabs(shift.x) + fabs(shift.y) <= 2.0f * (float)width)) break;
+            add_fragment(px, px + shift, z_there, frame, &t);
+            z_before = z_there;
+        }
+    }
+    return t.count > 0.0f ? fmax(z_static + translation_in_depth(t, frame), LEAST_BEFORE * z) : fmax(z_static, 0.0f);
 }
 
 /* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */

@@ -14,7 +14,7 @@ def test_kernel_equals_its_twin(case):
     dynamic, met_depth = case.read("history", "dynamic_mask"), case.read("history", "met_depth")
     if case.options.entering:
         to_previous = reprojection(now.camera, past.camera)
-        met_depth = twins.entering_depth(now.depth, now.motion, dynamic, met_depth, to_previous)
+        met_depth = twins.entering_depth(now.depth, now.motion, dynamic, met_depth, to_previous, case.from_previous[4])
     with np.errstate(invalid="ignore"):
         px_prev = twins.centers(*now.depth.shape) + now.motion
         in_previous = twins.unproject(px_prev, met_depth, case.from_previous[4])
@@ -65,9 +65,8 @@ def test_movers_that_enter_go_on(device):
     scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover])
     predicted, frame, history = predicted_half_a_frame_after(device, scene, still, (width, height), 4)
     shown, met, px = frame.depth < 7, history["met_depth"], twins.centers(height, width)
-    found = twins.entering_depth(
-        frame.depth, frame.motion, history["dynamic_mask"], met, reprojection(frame.camera, frame.camera)
-    )
+    unmoved = reprojection(frame.camera, frame.camera)
+    found = twins.entering_depth(frame.depth, frame.motion, history["dynamic_mask"], met, unmoved, unmoved[4])
     entered = shown & (found > 0) & ~(met > 0)
     assert entered.sum() > 20 and np.array_equal(found[~entered], met[~entered])
     np.testing.assert_allclose(found[entered], frame.depth[entered] + 0.2, rtol=1e-3)
@@ -76,6 +75,23 @@ def test_movers_that_enter_go_on(device):
     np.testing.assert_allclose(predicted[True][entered][:, 2], depth, rtol=1e-4)
     assert np.abs(predicted[False][entered][:, 0] - there[:, 0]).min() > 4
     assert np.array_equal(predicted[True][~entered], predicted[False][~entered])
+
+
+def test_movers_that_enter_as_a_whole_go_on(device):
+    """A mover that the frame before did not show at all, and that comes closer, is predicted where it is then: the
+    motion of its fragments shows how fast it comes."""
+    width, height, velocity = 160, 80, np.array([75.0, 0.0, -24.0])
+    still = camera(width, height)
+    edge = still.unproject(np.array([[0.0, height / 2]]), np.array([6.0]))[0, 0]
+    mover = Rect((edge - 9.2, 0, 9.2), (1.0, 0.6), velocity=tuple(velocity), frequency=0.1)
+    scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover])
+    predicted, frame, history = predicted_half_a_frame_after(device, scene, still, (width, height), 5)
+    entered, px = frame.depth < 7, twins.centers(height, width)
+    assert entered.sum() > 200 and not (history["met_depth"][entered] > 0).any()
+    there, depth = still.project(still.unproject(px[entered], frame.depth[entered]) + velocity / 60)
+    wrong = np.abs(predicted[True][entered][:, 2] - depth)
+    assert np.median(wrong) < 0.1 * abs(velocity[2]) / 60
+    assert np.median(np.abs(predicted[True][entered][:, :2] - there)) < 0.3
 
 
 def test_movers_that_come_from_behind_others_go_on(device):

@@ -7,8 +7,9 @@ from twins.common import F, centers, invalid, kernel_constants, move, project, r
 PREDICTION = kernel_constants("prediction.cl")
 
 
-def entering_depth(depth, motion, dynamic, met_depth, to_previous):
-    """Return `met_depth` (H, W) with the depth in the frame before of dynamic fragments that it does not show."""
+def entering_depth(depth, motion, dynamic, met_depth, to_previous, previous_inverse):
+    """Return `met_depth` (H, W) with the depth in the frame before of dynamic fragments that it does not show.
+    `previous_inverse`: 1 / fx, 1 / fy, cx, cy of that frame."""
     height, width = depth.shape
     px = centers(height, width)
     before = px + motion
@@ -16,25 +17,58 @@ def entering_depth(depth, motion, dynamic, met_depth, to_previous):
         out = np.maximum(-before, before - np.array((width, height), F))
         entered = (dynamic > 0) & ~(met_depth > 0) & (out.max(-1) <= PREDICTION.ENTERS_FROM * width)
         static = reproject(px, depth, to_previous)[..., 2]
+        rested = move(unproject(px, depth, to_previous[4]), to_previous)
+        a = (before - previous_inverse[2:]) * previous_inverse[:2]
+        known = np.abs(motion).sum(-1) <= 2 * width
     found = met_depth.copy()
+    least = (PREDICTION.LEAST_SPREAD * previous_inverse[0]) ** 2
     for y, x in np.argwhere(entered):
         axis = int(out[y, x, 0] < out[y, x, 1])
         d = [0, 0]
         d[axis] = 1 if before[y, x, axis] < 0 else -1
         z = depth[y, x]
         found[y, x] = max(static[y, x], 0)
-        z_before = z
-        for k in range(1, PREDICTION.INWARD_STEPS + 1) if out[y, x].max() > 0 else ():
-            there = y + k * PREDICTION.INWARD_STEP * d[1], x + k * PREDICTION.INWARD_STEP * d[0]
-            if not (0 <= there[0] < height and 0 <= there[1] < width) or dynamic[there] != PREDICTION.DYNAMIC:
-                break
-            if not abs(depth[there] - z_before) <= PREDICTION.ONE_MOVER * z_before:
-                break
-            if met_depth[there] > 0:
-                found[y, x] = z * (met_depth[there] / depth[there])
-                break
-            z_before = depth[there]
+        if not out[y, x].max() > 0:
+            continue
+        met, ratio = [], None
+        for way in (1, -1):
+            z_before = z
+            for k in range(0 if way > 0 else 1, PREDICTION.INWARD_STEPS + 1):
+                step = k * way * PREDICTION.INWARD_STEP
+                there = y + step * d[1], x + step * d[0]
+                if not (0 <= there[0] < height and 0 <= there[1] < width) or dynamic[there] != PREDICTION.DYNAMIC:
+                    break
+                if not abs(depth[there] - z_before) <= PREDICTION.ONE_MOVER * z_before:
+                    break
+                if ratio is None and met_depth[there] > 0:
+                    ratio = met_depth[there] / depth[there]
+                if ratio is not None or not known[there]:
+                    break
+                met.append(there)
+                z_before = depth[there]
+        if ratio is not None:
+            found[y, x] = z * ratio
+        elif met:
+            at = tuple(np.transpose(met))
+            slopes, offsets = a[at], a[at] * rested[at][:, 2:] - rested[at][:, :2]
+            came = depth_translation(slopes, offsets, least)
+            found[y, x] = max(static[y, x] + came, PREDICTION.LEAST_BEFORE * z)
     return found
+
+
+def depth_translation(a, b, least):
+    """Return the z of the translation T with T.xy − a T.z = b for all rows of `a` and `b`, (N, 2) float32, by least
+    squares."""
+    a, b = a - a[0], b - b[0]
+    a_sum, b_sum, aa, ab = np.zeros(2, F), np.zeros(2, F), F(0), F(0)
+    for one, other in zip(a, b, strict=True):
+        a_sum, b_sum = a_sum + one, b_sum + other
+        aa += one[0] * one[0] + one[1] * one[1]
+        ab += one[0] * other[0] + one[1] * other[1]
+    share = F(1) / F(len(a))
+    aa -= share * (a_sum[0] * a_sum[0] + a_sum[1] * a_sum[1])
+    ab -= share * (a_sum[0] * b_sum[0] + a_sum[1] * b_sum[1])
+    return -(ab / (aa + F(len(a)) * least))
 
 
 def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None, in_previous=None):
