@@ -35,32 +35,13 @@ INLINE float3 bent(const int cell, const Frame *frame, const Tracked f) {
     return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
 }
 
-/* Sums over fragments of a mover, for its translation T. Fragments that were at S in the view space of the frame
-   before, had they been at rest, were in the direction a = (x / z, y / z) there, to which their motion points. So
-   T.xy - a T.z = a S.z - S.xy =: b. Values are relative to those of the first fragment. */
-typedef struct {
-    float4 first, sum; /* a, b */
-    float aa, ab, count;
-} Translation;
-
-INLINE void add_fragment(const float2 px, const float2 px_prev, const float z, const Frame *frame, Translation *t) {
+/* The direction (x / z, y / z) in which a fragment was in the frame before, a, and from where it would have been at
+   rest, S: b = a S.z - S.xy. With a translation T of the mover, T.xy - a T.z = b. */
+INLINE float4 equation(const float2 px, const float2 shift, const float z, const Frame *frame) {
     const Pinhole inverse = frame->from_previous.source_inverse;
+    const float2 a = (px + shift - inverse.zw) * inverse.xy;
     const float3 rested = move_to_target(unproject(px, z, frame->to_target.source_inverse), frame->to_previous);
-    const float2 a = (px_prev - inverse.zw) * inverse.xy, b = a * rested.z - rested.xy;
-    if (t->count == 0.0f) t->first = (float4)(a, b);
-    const float4 off = (float4)(a, b) - t->first;
-    t->sum += off;
-    t->aa += off.x * off.x + off.y * off.y;
-    t->ab += off.x * off.z + off.y * off.w;
-    t->count += 1.0f;
-}
-
-/* T.z by least squares, less where all fragments lie within a few pixels. */
-INLINE float translation_in_depth(const Translation t, const Frame *frame) {
-    const float share = divide(1.0f, t.count), least = LEAST_SPREAD * frame->from_previous.source_inverse.x;
-    const float aa = t.aa - share * (t.sum.x * t.sum.x + t.sum.y * t.sum.y);
-    const float ab = t.ab - share * (t.sum.x * t.sum.z + t.sum.y * t.sum.w);
-    return -divide(ab, aa + t.count * least * least);
+    return (float4)(a, a * rested.z - rested.xy);
 }
 
 /* The depth in the frame before of a dynamic fragment that was at px_prev, where that frame does not show it; 0: so far
@@ -77,22 +58,36 @@ INLINE float entering_depth(const int src_x, const int src_y, const float2 px_pr
     const float z = f.depth[src];
     const float z_static = reproject(pixel_center(src_x, src_y), z, frame->to_previous).z;
     if (!(out > 0.0f)) return fmax(z_static, 0.0f);
-    Translation t = {(float4)(0.0f), (float4)(0.0f), 0.0f, 0.0f, 0.0f};
-    for (int way = INWARD_STEP; way >= -INWARD_STEP; way -= 2 * INWARD_STEP) { /* inward, then back to the border */
-        float z_before = z;
-        for (int k = way > 0 ? 0 : 1; k <= INWARD_STEPS; ++k) {
-            const int x = src_x + k * way * dx, y = src_y + k * way * dy, i = y * width + x;
-            if (!inside(x, y, width, height) || f.dynamic_mask[i] != DYNAMIC) break;
-            const float z_there = f.depth[i];
-            if (!(fabs(z_there - z_before) <= ONE_MOVER * z_before)) break;
-            if (f.met_depth[i] > 0.0f) return z * divide(f.met_depth[i], z_there);
-            const float2 px = pixel_center(x, y), shift = f.motion[i];
-            if (!(fabs(shift.x) + fabs(shift.y) <= 2.0f * (float)width)) break;
-            add_fragment(px, px + shift, z_there, frame, &t);
-            z_before = z_there;
+    float4 sum = (float4)(0.0f);
+    float aa = 0.0f, ab = 0.0f, count = 0.0f, z_before = z;
+    int way = INWARD_STEP; /* inward, then back to the border */
+#pragma unroll 1
+    for (int k = 0; k <= INWARD_STEPS; ++k) {
+        const int x = src_x + k * way * dx, y = src_y + k * way * dy, i = y * width + x;
+        const bool is_inside = inside(x, y, width, height) && f.dynamic_mask[i] == DYNAMIC;
+        const float z_there = is_inside ? f.depth[i] : 0.0f;
+        const float2 shift = is_inside ? f.motion[i] : (float2)(0.0f);
+        if (!(fabs(z_there - z_before) <= ONE_MOVER * z_before
+              && fabs(shift.x) + fabs(shift.y) <= 2.0f * (float)width)) {
+            if (way < 0) break;
+            way = -way;
+            k = 0;
+            z_before = z;
+            continue;
         }
+        if (f.met_depth[i] > 0.0f) return z * divide(f.met_depth[i], z_there);
+        const float4 e = equation(pixel_center(x, y), shift, z_there, frame);
+        sum += e;
+        aa += e.x * e.x + e.y * e.y;
+        ab += e.x * e.z + e.y * e.w;
+        count += 1.0f;
+        z_before = z_there;
     }
-    return t.count > 0.0f ? fmax(z_static + translation_in_depth(t, frame), LEAST_BEFORE * z) : fmax(z_static, 0.0f);
+    if (!(count > 0.0f)) return fmax(z_static, 0.0f);
+    const float share = divide(1.0f, count), least = LEAST_SPREAD * frame->from_previous.source_inverse.x;
+    aa -= share * (sum.x * sum.x + sum.y * sum.y);
+    ab -= share * (sum.x * sum.z + sum.y * sum.w);
+    return fmax(z_static - divide(ab, aa + count * least * least), LEAST_BEFORE * z);
 }
 
 /* Predicts (px in the target image, view depth there) of one fragment; depth -1 where there is nothing to splat. */

@@ -59,7 +59,6 @@ def entering_depth(depth, motion, dynamic, met_depth, to_previous, previous_inve
 def depth_translation(a, b, least):
     """Return the z of the translation T with T.xy − a T.z = b for all rows of `a` and `b`, (N, 2) float32, by least
     squares."""
-    a, b = a - a[0], b - b[0]
     a_sum, b_sum, aa, ab = np.zeros(2, F), np.zeros(2, F), F(0), F(0)
     for one, other in zip(a, b, strict=True):
         a_sum, b_sum = a_sum + one, b_sum + other
