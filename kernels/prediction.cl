@@ -62,9 +62,9 @@ INLINE float entering_depth(const int src_x, const int src_y, const float2 px_pr
     float aa = 0.0f, ab = 0.0f, count = 0.0f, z_before = z;
     int way = INWARD_STEP; /* inward, then back to the border */
 #pragma unroll 1
-    for (int k = 0; k <= INWARD_STEPS; ++k) {
+    for (int k = 0;; ++k) {
         const int x = src_x + k * way * dx, y = src_y + k * way * dy, i = y * width + x;
-        const bool is_inside = inside(x, y, width, height) && f.dynamic_mask[i] == DYNAMIC;
+        const bool is_inside = k <= INWARD_STEPS && inside(x, y, width, height) && f.dynamic_mask[i] == DYNAMIC;
         const float z_there = is_inside ? f.depth[i] : 0.0f;
         const float2 shift = is_inside ? f.motion[i] : (float2)(0.0f);
         if (!(fabs(z_there - z_before) <= ONE_MOVER * z_before
