@@ -27,7 +27,7 @@
 
 #define MOVER_REACH 8     /* px, in which movers are looked for ... */
 #define MOVER_REACH_SHARE 48    /* ... or this part of the target's width */
-#define ENTERING_MOST 2   /* times as many pixels as a mover shows inward from the border, that it goes on beyond it */
+#define ENTERING_MOST 2 /* times as many pixels as a mover shows inward from the border, that it goes on beyond it */
 #define BORDER_SHARE 4    /* part of the target's width: holes no wider may be those of movers that enter */
 
 /* The new frame, the depth of the rendered one and of the one before it, and the motion between these. */
