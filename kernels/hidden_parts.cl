@@ -27,6 +27,7 @@
 
 #define MOVER_REACH 8     /* px, in which movers are looked for ... */
 #define MOVER_REACH_SHARE 48    /* ... or this part of the target's width */
+#define ENTERING_MOST 2 /* times as many pixels as a mover shows inward from the border, that it goes on beyond it */
 #define BORDER_SHARE 4    /* part of the target's width: holes no wider may be those of movers that enter */
 
 /* The new frame, the depth of the rendered one and of the one before it, and the motion between these. */
@@ -149,12 +150,16 @@ INLINE int steps_to_shown(const int most, const int dst_x, const int dst_y, cons
     return first_other(dst_y * width + dst_x, d.y * width + d.x, steps, f.disoccluded, 1);
 }
 
-/* Whether a mover is t steps away in direction d, inward from the border, and the hole's part of it came from outside
-   of the rendered image there. */
+/* Whether a mover is t steps away in direction d, inward from the border, and shows at least half of as many pixels
+   from there on, and the hole's part of it came from outside of the rendered image. */
 INLINE bool is_of_entering(const int t, const int dst_x, const int dst_y, const int2 d, __constant Frame *frame,
                            const Images f) {
-    const int x = dst_x + t * d.x, y = dst_y + t * d.y;
-    if (t == 0 || !f.is_dynamic[y * frame->target_width + x]) return false;
+    const int x = dst_x + t * d.x, y = dst_y + t * d.y, width = frame->target_width, there = y * width + x;
+    if (t == 0 || !f.is_dynamic[there]) return false;
+    const int more = steps_within(t, d, x, y, width, frame->target_height);
+    int shown = 1;
+    for (int k = 1; k <= more; ++k) shown += f.is_dynamic[there + k * (d.y * width + d.x)] != 0;
+    if (ENTERING_MOST * shown < t) return false;
     const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
     const float along = d.x ? px_source.x : px_source.y;
     const float end = (float)(d.x ? frame->source_width : frame->source_height);

@@ -65,7 +65,8 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
             if not shown:
                 continue
             distance, q = shown[0]
-            if dynamic[q]:
+            ahead = [dynamic[m[1]] for m in march(*q, d, distance, depth.shape)]
+            if dynamic[q] and HIDDEN.ENTERING_MOST * (1 + sum(ahead)) >= distance:
                 px = moves_along(q, y, x)[0 if d[0] else 1]
                 if px < 0 if sum(d) > 0 else px >= (width if d[0] else height):
                     return q
