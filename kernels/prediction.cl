@@ -186,9 +186,9 @@ WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, _
                                      __global const float *met_depth, __global const float4 *history,
                                      __global const float4 *velocity, __global const uint2 *acceleration,
                                      __global const uint2 *bend, __global const uint2 *view_velocity,
-                                     __global float *target_position,
-                                     __global Key *keys, __global uint *winners) {
-    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, acceleration, bend, view_velocity};
+                                     __global float *target_position, __global Key *keys, __global uint *winners) {
+    const Tracked fragments = {depth,    motion,       dynamic_mask, met_depth,    history,
+                               velocity, acceleration, bend,         view_velocity};
     const int source_width = given.source_width, source_height = given.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_y == source_height) { /* a row of its own: it takes many registers */

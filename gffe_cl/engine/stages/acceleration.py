@@ -50,8 +50,8 @@ class Acceleration(Stage):
             ("x", "y", "z", "trust"),
             _CELLS,
             "change of that acceleration in the next interval, as far as it counts, and the same trust: positions gain"
-            " α (α + 1) (trust · acceleration + (α + 2) / 3 · this); trust −1: the mover spins, and this is the velocity"
-            " of its center",
+            " α (α + 1) (trust · acceleration + (α + 2) / 3 · this); trust −1: the mover spins, and this is the"
+            " velocity of its center",
             "world",
             kept=True,
             packing=TRUSTED,
