@@ -1,8 +1,8 @@
 /* Acceleration of movers (beyond the paper: 'Position estimation' with a second-order term where it can be trusted).
    The nearest mover of each cell has a mean velocity; its change since the frame before, met where the mover's
    motion points to, is its acceleration. Noise and bad vectors do not last, and neither does a bounce or a stop:
-   only as much of it counts as there was an interval before, and a share where that is not known; more where the mover
-   slows down. On arcs acceleration turns: its own change goes on, too. What turns by more than a quarter in an
+   only as far as the interval before confirms it does it count, and a share where that is not known. On arcs
+   acceleration turns: it turns on by the angle by which it turned. What turns by more than a quarter in an
    interval, as wheels do, moves on as its center does. Cells without a mover are skipped. Some movers are carried by
    the camera, as wipers and hands are: where velocity in view space has changed less since the frame before than that
    in the world, here and around, velocity and acceleration go on in view space. */
@@ -14,8 +14,7 @@
    on in view space", "What spins moves on as its center does". */
 #define BEND_MOST 0.5f /* share of the velocity: the more an acceleration exceeds it, the less it counts */
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
-#define SLOWS 1.5f /* times the share that there was before: what counts of it where a mover slows down */
-#define TURN 0.8333333f  /* the third difference's share relative to the second's, (alpha + 2) / 3, at alpha = 1/2 */
+#define LASTS 1.5f /* times the share of it that there was before: what counts, at most all of it */
 /* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
    the world, while LEANS is that share for the sum over this cell and those around; or the other way round, with
    IN_VIEW_AROUND for the sum ... */
@@ -32,7 +31,6 @@
 #define SPIN_SIZES 1.25f
 #define STILL_SPINS 2.0f /* ... or by this one where it did before ... */
 #define SPIN_LEAST 2.0f  /* px: ... and are at least so long: smaller ones may be errors */
-#define TURN_MOST 0.5f /* share of the acceleration: the more its change exceeds it, the less that counts */
 
 /* Mean values of a cell's fragments of one mover. */
 typedef struct {
@@ -97,12 +95,10 @@ INLINE Mover mover_of_cell(const int cell_x, const int cell_y, __constant Frame 
     return mover;
 }
 
-/* The share of an acceleration that goes on, 0 to 1: what there was of it an interval before, and more of it where a
-   mover slows down. */
-INLINE float lasted(const float3 velocity, const float3 acceleration, const float3 before) {
+/* The share of an acceleration that goes on, 0 to 1, by what there was of it an interval before. */
+INLINE float lasted(const float3 acceleration, const float3 before) {
     const float size = squared_length(acceleration);
-    const float share = size > 0.0f ? divide(product_of(acceleration, before), size) : 0.0f;
-    return clamp(product_of(acceleration, velocity) < 0.0f ? SLOWS * share : share, 0.0f, 1.0f);
+    return size > 0.0f ? clamp(LASTS * divide(product_of(acceleration, before), size), 0.0f, 1.0f) : 0.0f;
 }
 
 /* Weight of an acceleration, 0 to 1: `share` of it, and less where it bends the path sharply. */
@@ -111,11 +107,14 @@ INLINE float trust(const float3 velocity, const float3 acceleration, const float
     return size > speed ? share * divide(speed, size) : share;
 }
 
-/* An acceleration as it will be, by how it was `before`. */
-INLINE float3 carried_on(const float3 acceleration, const float3 before) {
-    const float3 change = acceleration - before;
-    const float size = squared_length(change), most = TURN_MOST * TURN_MOST * squared_length(acceleration);
-    return acceleration + (size > most ? TURN * divide(most, size) : TURN) * change;
+/* The change of an acceleration in the next interval, if it turns by the angle by which it has turned since `before`:
+   on circles a(t + 1) = 2 cos a(t) - a(t - 1). The more that exceeds the acceleration, the less it counts. */
+INLINE float3 change_of(const float3 acceleration, const float3 before) {
+    const float most = squared_length(acceleration), both = most + squared_length(before);
+    const float cosine = both > 0.0f ? divide(2.0f * product_of(acceleration, before), both) : 0.0f;
+    const float3 change = (2.0f * cosine - 1.0f) * acceleration - before;
+    const float size = squared_length(change);
+    return size > most ? divide(most, size) * change : change;
 }
 
 /* How a mover moved in the frame before, met where its motion points to: means over its cells there. */
@@ -190,8 +189,9 @@ INLINE bool spins(const float3 velocity, const float3 found, const float3 before
 }
 
 /* velocity: (xyz, view depth of the mover, 0: none). acceleration: per interval squared, as found, and its trust, -1
-   where it is not known. bend: the part that continues, as it will be, and the same trust: after alpha intervals it
-   has added alpha (alpha + 1) of it; its trust is -1 where the mover spins, and it is its center's velocity.
+   where it is not known. bend: its change in the next interval, as far as it counts, and the same trust: after alpha
+   intervals alpha (alpha + 1) (trust acceleration + (alpha + 2) / 3 bend) was added to positions; its trust is -1 where
+   the mover spins, and it is its center's velocity.
    view_velocity: in view space, and 1 where the camera carries the mover: acceleration and bend are of view space
    there. `ratio`: of the last two intervals. */
 SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __global const float *depth,
@@ -245,12 +245,12 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     }
     const float3 found = (now - was) * divide(ratio, 1.0f + ratio);
     float share = FIRST;
-    float3 later = found;
+    float3 change = (float3)(0.0f);
     if (past.weight_known > 0.0f && carried == past.was_carried) {
         const float3 found_before = ratio * ratio * past.acceleration;
         const float3 before = carried ? found_before : rotate_to_target(found_before, frame->from_previous);
-        share = lasted(now, found, before);
-        later = carried_on(found, before);
+        share = lasted(found, before);
+        change = change_of(found, before);
         float3 center;
         const float px = mover.depth * frame->to_previous.source_inverse.x;
         if (spins(now, found, before, past.weight_spun > 0.5f * past.weight ? STILL_SPINS : SPIN_SIZES, px, &center)) {
@@ -261,5 +261,5 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     }
     const float trusted = trust(now, found, share);
     acceleration[cell] = packed(found, trusted);
-    bend[cell] = packed(trusted * later, trusted);
+    bend[cell] = packed(trusted * change, trusted);
 }

@@ -32,6 +32,10 @@ INLINE bool is_trust_known(const uint2 p) { return p.y >> 26 != UNKNOWN_TRUST; }
 
 INLINE bool is_trusted(const uint2 p) { return is_trust_known(p) && p.y >> 26; }
 
+INLINE float trust_of(const uint2 p) {
+    return is_trust_known(p) ? (float)(p.y >> 26) * (1.0f / (float)MOST_TRUST) : -1.0f;
+}
+
 INLINE float3 unpacked(const uint2 p) {
     return (float3)(as_float(p.x << 13), as_float((p.x >> 19 | (p.y & 127u) << 12) << 13),
                     as_float((p.y >> 7 & 0x7ffffu) << 13));

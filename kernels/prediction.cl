@@ -20,19 +20,37 @@
 #define LEAST_SPREAD 2.0f /* px: standard deviation of fragments whose motion is believed half */
 #define LEAST_BEFORE 0.25f /* of its depth: at least so far from the camera was what enters */
 
-/* The rendered frame, and the known motion of its fragments; `velocity` and `bend` are of the movers' grid. */
+/* The rendered frame, and the known motion of its fragments; those from `velocity` on are of the movers' grid. */
 typedef struct {
     __global const float *depth;
     __global const float2 *motion;
     __global const uchar *dynamic_mask;
     __global const float *met_depth;
     __global const float4 *history, *velocity;
-    __global const uint2 *bend, *view_velocity;
+    __global const uint2 *acceleration, *bend, *view_velocity;
 } Tracked;
 
-/* Displacement of a fragment by acceleration after alpha intervals. */
-INLINE float3 bent(const int cell, const Frame *frame, const Tracked f) {
-    return (frame->alpha * (frame->alpha + 1.0f)) * unpacked(f.bend[cell]);
+/* Displacement of a fragment at depth z by acceleration after alpha intervals, interpolated between the cells around
+   whose mover it may belong to: neighboring fragments must not part where cells meet. */
+INLINE float3 bent(const int src_x, const int src_y, const float z, const bool carried, const Frame *frame,
+                   const Tracked f) {
+    const int level_width = (frame->source_width + MOVER_CELL - 1) / MOVER_CELL;
+    const int level_height = (frame->source_height + MOVER_CELL - 1) / MOVER_CELL;
+    const float per_px = 1.0f / (float)MOVER_CELL, alpha = frame->alpha, later = divide(alpha + 2.0f, 3.0f);
+    const float fx = ((float)src_x + 0.5f) * per_px - 0.5f, fy = ((float)src_y + 0.5f) * per_px - 0.5f;
+    const int x0 = (int)floor(fx), y0 = (int)floor(fy);
+    float3 sum = (float3)(0.0f);
+    float weights = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int x = x0 + (tap & 1), y = y0 + (tap >> 1), i = y * level_width + x;
+        if (!inside(x, y, level_width, level_height) || !is_of_cell(z, f.velocity[i].w)) continue;
+        const float trust = trust_of(f.acceleration[i]);
+        if (trust < 0.0f || !is_trust_known(f.bend[i]) || is_trusted(f.view_velocity[i]) != carried) continue;
+        const float weight = bilinear_weight(tap, fx - (float)x0, fy - (float)y0);
+        sum += weight * (trust * unpacked(f.acceleration[i]) + later * unpacked(f.bend[i]));
+        weights += weight;
+    }
+    return weights > 0.0f ? (alpha * (alpha + 1.0f)) * mean_of(sum, weights) : sum;
 }
 
 /* The direction (x / z, y / z) in which a fragment was in the frame before, a, and from where it would have been at
@@ -134,7 +152,7 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
         const float3 p1 = carried ? p1_prev : move_to_target(p1_prev, frame->from_previous);
         const bool spins = of_cell && !is_trust_known(f.bend[cell]);
         predicted += spins ? frame->alpha * unpacked(f.bend[cell]) : weight[0] * (p1 - p0);
-        if (of_cell && !spins) predicted += bent(cell, frame, f);
+        if (of_cell && !spins) predicted += bent(src_x, src_y, z, carried, frame, f);
         if (carried) {
             if (!(predicted.z > 0.0f)) return nowhere;
             return (float3)(project(predicted, frame->to_target.target), predicted.z);
@@ -161,10 +179,11 @@ INLINE void forget_targets(const int src_x, const int src_y, const Frame *frame,
 WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, __global const float *depth,
                                      __global const float2 *motion, __global const uchar *dynamic_mask,
                                      __global const float *met_depth, __global const float4 *history,
-                                     __global const float4 *velocity, __global const uint2 *bend,
-                                     __global const uint2 *view_velocity, __global float *target_position,
-                                     __global Key *keys, __global uint *winners) {
-    const Tracked fragments = {depth, motion, dynamic_mask, met_depth, history, velocity, bend, view_velocity};
+                                     __global const float4 *velocity, __global const uint2 *acceleration,
+                                     __global const uint2 *bend, __global const uint2 *view_velocity,
+                                     __global float *target_position, __global Key *keys, __global uint *winners) {
+    const Tracked fragments = {depth,    motion,       dynamic_mask, met_depth,    history,
+                               velocity, acceleration, bend,         view_velocity};
     const int source_width = given.source_width, source_height = given.source_height;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
     if (src_y == source_height) { /* a row of its own: it takes many registers */

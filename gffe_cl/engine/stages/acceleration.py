@@ -19,7 +19,7 @@ _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
 
 class Acceleration(Stage):
     """Tracks the change of movers' velocity in cells of 4×4 pixels, as far as it has lasted. Prediction adds the
-    change, rotated as it rotated before."""
+    change, rotated as it rotated before and interpolated between cells."""
 
     name = "acceleration"
     buffers = (
@@ -49,8 +49,9 @@ class Acceleration(Stage):
             np.float32,
             ("x", "y", "z", "trust"),
             _CELLS,
-            "part of that acceleration that continues: α (α + 1) times it is added to positions; trust −1: the mover"
-            " spins, and this is the velocity of its center",
+            "change of that acceleration in the next interval, as far as it counts, and the same trust: positions gain"
+            " α (α + 1) (trust · acceleration + (α + 2) / 3 · this); trust −1: the mover spins, and this is the"
+            " velocity of its center",
             "world",
             kept=True,
             packing=TRUSTED,

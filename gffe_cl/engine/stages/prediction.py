@@ -41,6 +41,7 @@ class PositionPrediction(NearestStage):
                 "met_depth": "history.met_depth",
                 "history": "history.history",
                 "velocity": "acceleration.velocity",
+                "acceleration": "acceleration.acceleration",
                 "bend": "acceleration.bend",
                 "view_velocity": "acceleration.view_velocity",
             },

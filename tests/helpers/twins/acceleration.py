@@ -22,10 +22,9 @@ def _mover_of_cell(inside, p0, p1, p1_prev, px_prev, depth, met_depth):
     return [sum((a[at] for at in of_it), F(0)) / count for a in (p0 - p1, p0 - p1_prev, px_prev, depth, met_depth)]
 
 
-def _lasted(velocity, found, before):
+def _lasted(found, before):
     size = (found * found).sum()
-    share = (found * before).sum() / size if size > 0 else F(0)
-    return np.clip(share * F(ACCELERATION.SLOWS) if (found * velocity).sum() < 0 else share, F(0), F(1))
+    return np.clip(F(ACCELERATION.LASTS) * ((found * before).sum() / size), F(0), F(1)) if size > 0 else F(0)
 
 
 def _trust(velocity, found, share):
@@ -33,12 +32,14 @@ def _trust(velocity, found, share):
     return share * (speed / size) if size > speed else share
 
 
-def _carried_on(found, before):
-    """Return the acceleration with its change continued as at α = ½, less where that is over half of the
-    acceleration."""
-    change, most = found - before, F(ACCELERATION.TURN_MOST) * np.linalg.norm(found)
-    size = np.linalg.norm(change)
-    return found + F(ACCELERATION.TURN) * change * (F(1) if size <= most else (most / size) ** 2)
+def _change_of(found, before):
+    """Return the change of the acceleration `found` in the next interval, if it turns as it has turned since `before`:
+    less where that is over the acceleration."""
+    most, both = (found * found).sum(), (found * found).sum() + (before * before).sum()
+    cosine = 2 * (found * before).sum() / both if both > 0 else F(0)
+    change = (2 * cosine - 1) * found - before
+    size = (change * change).sum()
+    return change * (most / size) if size > most else change
 
 
 def _as_packed(acceleration):
@@ -125,7 +126,7 @@ def track_acceleration(
     from_previous,
     camera_fixed=True,
 ):
-    """Return velocity and depth, acceleration and trust, the part of it that goes on, velocity in view space and
+    """Return velocity and depth, acceleration and trust, the change of it that counts, velocity in view space and
     whether the camera carries the mover, of cells, (⌈H/4⌉, ⌈W/4⌉, 4) each."""
     side, (height, width) = ACCELERATION.MOVER_CELL, depth.shape
     cells = -(-height // side), -(-width // side)
@@ -158,13 +159,13 @@ def track_acceleration(
             v, was = v_seen, seen
             view_velocity[y, x, 3] = 1
         found = (v - was) * (ratio / (1 + ratio))
-        share, later, center = F(ACCELERATION.FIRST), found, None
+        share, change, center = F(ACCELERATION.FIRST), np.zeros(3, F), None
         if before is not None and carried == was_carried:
             before = ratio * ratio * before
             before = before if carried else rotate(before, from_previous)
-            share, later = _lasted(v, found, before), _carried_on(found, before)
+            share, change = _lasted(found, before), _change_of(found, before)
             center = _center_velocity(v, found, before, spun, z * to_previous[4][0])
         trust = F(0) if center is not None else _trust(v, found, share)
         acceleration[y, x] = (*found, trust)
-        bend[y, x] = (*(trust * later), trust) if center is None else (*center, -1)
+        bend[y, x] = (*(trust * change), trust) if center is None else (*center, -1)
     return velocity, _as_packed(acceleration), _as_packed(bend), _as_packed(view_velocity)

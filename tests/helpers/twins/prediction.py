@@ -70,9 +70,33 @@ def depth_translation(a, b, least):
     return -(ab / (aa + F(len(a)) * least))
 
 
+def _bent(depth, movers, carried, alpha):
+    """Return the displacement (H, W, 3) by acceleration after `alpha` intervals: that of the cells around whose mover
+    each fragment may belong to, interpolated."""
+    velocity, acceleration, bend, seen = movers
+    side, cells = F(PREDICTION.MOVER_CELL), velocity.shape[:2]
+    at = centers(*depth.shape) / side - F(0.5)
+    first = np.floor(at).astype(int)
+    total, weights = np.zeros((*depth.shape, 3), F), np.zeros(depth.shape, F)
+    for tap in range(4):
+        x, y = first[..., 0] + (tap & 1), first[..., 1] + (tap >> 1)
+        inside = (x >= 0) & (x < cells[1]) & (y >= 0) & (y < cells[0])
+        cell = np.clip(y, 0, cells[0] - 1), np.clip(x, 0, cells[1] - 1)
+        z = velocity[cell][..., 3]
+        with np.errstate(invalid="ignore"):
+            counts = inside & (np.abs(depth - z) <= F(PREDICTION.CELL_TOLERANCE) * z)
+        counts &= (acceleration[cell][..., 3] >= 0) & (bend[cell][..., 3] >= 0) & ((seen[cell][..., 3] > 0) == carried)
+        u, v = np.moveaxis((at - first).astype(F), -1, 0)
+        weight = np.where(counts, (u if tap & 1 else 1 - u) * (v if tap >> 1 else 1 - v), F(0))
+        part = acceleration[cell][..., 3:] * acceleration[cell][..., :3] + (F(alpha) + 2) / F(3) * bend[cell][..., :3]
+        total, weights = total + weight[..., None] * part, weights + weight
+    mean = total / np.where(weights > 0, weights, F(1))[..., None]
+    return F(alpha) * (F(alpha) + F(1)) * mean
+
+
 def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=0, movers=None, in_previous=None):
-    """Return (H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration, the
-    part of it that goes on, and velocity in view space, of cells, where acceleration is used; `in_previous`, with them:
+    """Return (H, W, 3) float32: px in the target image, view depth (−1: nothing). `movers`: velocity, acceleration, its
+    change, and velocity in view space, of cells, where acceleration is used; `in_previous`, with them:
     P_1 in the view space of the frame before."""
     px = centers(*depth.shape)
     out = reproject(px, depth, to_target)
@@ -90,12 +114,13 @@ def predict_positions(depth, dynamic, history, order, weights, to_target, alpha=
         with np.errstate(invalid="ignore"):
             near = np.abs(depth - velocity[..., 3]) <= PREDICTION.CELL_TOLERANCE * velocity[..., 3]
         spins = near & (bend[..., 3] < 0)
-        step = np.where(spins, F(1), F(alpha) + F(1))[..., None] * (F(alpha) * bend[..., :3])
+        carried = near & (seen[..., 3] > 0)
+        step = np.where(spins[..., None], F(alpha) * bend[..., :3], _bent(depth, movers, carried, alpha))
         predicted = np.where(spins[..., None], p0, predicted)
         predicted = np.where(((known > 0) & near)[..., None], predicted + step, predicted)
     target = move(predicted, to_target)
     if movers:
-        carried = (known > 0) & near & (seen[..., 3] > 0)
+        carried &= known > 0
         linear = np.where(spins[..., None], F(0), weights[0, 0] * (in_previous - p0))
         target = np.where(carried[..., None], p0 + (linear + step), target)
     moved = np.concatenate([project(target, to_target[5]), target[..., 2:]], -1)
