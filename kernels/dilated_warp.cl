@@ -105,7 +105,8 @@ INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __
         const float2 moved = pixel_center(src_x, src_y) - (float2)(off.x * per_px.x, off.y * per_px.y);
         const int moved_x = clamp((int)moved.x, 0, width - 1), moved_y = clamp((int)moved.y, 0, height - 1);
         const int at = moved_y * width + moved_x;
-        const bool is_free = !(from.z[at] < NEARER * there.z) && (moves || !is_dynamic[at]);
+        const bool is_free =
+            !(from.z[at] < NEARER * there.z) && (moves || (holds(width, height, moved) && !is_dynamic[at]));
         if (there.z > 0.0f && is_free && (!within || has_gone(there.xy, px))) place = moved;
     }
     return off_outline(from, target_position, is_dynamic, frame->zoom, px, place) - own;

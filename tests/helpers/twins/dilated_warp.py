@@ -58,7 +58,7 @@ def places_beside(keys, target_position, dynamic, zoom, to_source):
     moved = np.stack(pixel_at(place)[::-1], -1).astype(F) + F(0.5) - off * (F(1) / zoom)
     moves = dynamic[pixel_at(place)] > 0
     is_free = target_position[pixel_at(moved)][..., 2] >= DILATED.NEARER * there[..., 2]
-    is_free &= moves | (dynamic[pixel_at(moved)] == 0)
+    is_free &= moves | ((dynamic[pixel_at(moved)] == 0) & (moved >= 0).all(-1) & (moved < (width, height)).all(-1))
     holes = keys == NOTHING
     goes = holes & (moves | (within & (found == NOTHING))) & ~stays & (there[..., 2] > 0) & is_free
     place = np.where(goes[..., None], moved, place)
