@@ -13,7 +13,7 @@
 #include "dilation.h"
 
 /* What set the threshold: docs/deviations.md, "The dilated warp". */
-#define GONE 2.0f /* px: a mover that is shown so far from a pixel is not shown there */
+#define GONE 2.0f /* px: what is shown so far from a pixel is not shown there */
 
 /* How far LANES pixels, whose indices are `here`, lie from the pixels `nearest` among the 3x3 around them. */
 INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Floats *down) {
@@ -48,10 +48,39 @@ WIDE __kernel void splat_dilated(__constant Frame *restrict frame, const int pas
     offer_vectors(pass, keys, winners, width - x, frame->target_width, lands, px_x, px_y, from_x, from_y, z);
 }
 
+/* Whether a surface shown at `there` has gone from the pixel at px. */
+INLINE bool has_gone(const float2 there, const float2 px) {
+    return fabs(there.x - px.x) > GONE || fabs(there.y - px.y) > GONE;
+}
+
+/* `place`, or a pixel aside where that is beside a nearer static surface which has gone from px: antialiased colors
+   there hold some of it, and would repeat its outline. */
+INLINE float2 off_outline(const Origin from, __global const float *target_position, __global const uchar *is_dynamic,
+                          const float2 zoom, const float2 px, const float2 place) {
+    const int x = (int)place.x, y = (int)place.y, src = y * from.width + x;
+    if (!(place.x >= 1.0f && place.y >= 1.0f && x < from.width - 1 && y < from.height - 1)) return place;
+    const float z = from.z[src];
+    int2 away = (int2)(0), tap = (int2)(0);
+    for (int k = 1; k < 9; ++k) {
+        const float beside = from.z[src + TAP_Y(k) * from.width + TAP_X(k)];
+        if (!(beside > 0.0f && beside < NEARER * z)) continue;
+        tap = (int2)(TAP_X(k), TAP_Y(k));
+        away -= tap;
+    }
+    const int nearer = src + tap.y * from.width + tap.x;
+    if (nearer == src || is_dynamic[nearer]) return place;
+    const float3 there = position_of(target_position, nearer, from.width * from.height);
+    if (!has_gone(there.xy - zoom * (float2)((float)tap.x, (float)tap.y), px)) return place;
+    away = clamp(away, -1, 1);
+    const float z_aside = from.z[src + away.y * from.width + away.x];
+    const bool alike = !(z_aside < NEARER * z) && !(z < NEARER * z_aside);
+    return alike ? place + (float2)((float)away.x, (float)away.y) : place;
+}
+
 /* Where the pixel (x, y), which none reached, comes from, less (x, y) / zoom: with the nearest surface within
    FILL_REACH px, of those that show nothing nearer than themselves there, as what uncovers the pixel would be. Without
    any it moves as far surfaces do. But where that shows a mover which has gone elsewhere, or at the image's border one
-   that enters, it moves as that mover. */
+   that enters, it moves as that mover; so it does with a static surface where it moves as far ones. */
 INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __global const uint *winners,
                            __global const float *target_position, __global const uchar *is_dynamic, const int x,
                            const int y) {
@@ -69,13 +98,18 @@ INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __
     }
     const int src_x = clamp((int)place.x, 0, width - 1), src_y = clamp((int)place.y, 0, height - 1);
     const int src = src_y * width + src_x;
-    if (!is_dynamic[src]) return place - own;
-    const float3 there = position_of(target_position, src, plane);
-    const float2 off = there.xy - px;
-    if (holds(width, height, place) && fabs(off.x) <= GONE && fabs(off.y) <= GONE) return place - own;
-    const float2 moved = pixel_center(src_x, src_y) - (float2)(off.x * per_px.x, off.y * per_px.y);
-    const int moved_x = clamp((int)moved.x, 0, width - 1), moved_y = clamp((int)moved.y, 0, height - 1);
-    return there.z > 0.0f && !(from.z[moved_y * width + moved_x] < NEARER * there.z) ? moved - own : place - own;
+    const bool within = holds(width, height, place), moves = is_dynamic[src];
+    if (moves || (within && word == NOBODY)) {
+        const float3 there = position_of(target_position, src, plane);
+        const float2 off = there.xy - px;
+        const float2 moved = pixel_center(src_x, src_y) - (float2)(off.x * per_px.x, off.y * per_px.y);
+        const int moved_x = clamp((int)moved.x, 0, width - 1), moved_y = clamp((int)moved.y, 0, height - 1);
+        const int at = moved_y * width + moved_x;
+        const bool is_free =
+            !(from.z[at] < NEARER * there.z) && (moves || (holds(width, height, moved) && !is_dynamic[at]));
+        if (there.z > 0.0f && is_free && (!within || has_gone(there.xy, px))) place = moved;
+    }
+    return off_outline(from, target_position, is_dynamic, frame->zoom, px, place) - own;
 }
 
 /* LANES pixels of the new frame per work-item. */

@@ -3,7 +3,7 @@
 import numpy as np
 
 from twins.common import COLOR_MAX, COMMON, INF, NOBODY, F, centers, kernel_constants, reproject
-from twins.dilate_splat import NOTHING, SPLAT, components, dilate, with_neighbors, words_of
+from twins.dilate_splat import NOTHING, SPLAT, TAPS, components, dilate, with_neighbors, words_of
 from twins.warp import codes_of, load_color, resampled
 
 DILATED = kernel_constants("dilated_warp.cl")
@@ -34,7 +34,8 @@ def dilated_splat(target_position, depth, zoom, target_size):
 def places_beside(keys, target_position, dynamic, zoom, to_source):
     """Return where all pixels come from, (H', W', 2) px in the rendered frame. Those that none reached: as the nearest
     surface beside that shows nothing nearer where it leads them, or as far surfaces; but as the mover that is shown
-    there if it has gone elsewhere, or stands at the border of the image."""
+    there if it has gone elsewhere, or stands at the border of the image; and as a static surface that has gone from
+    where far surfaces lead. Places beside nearer static surfaces that have gone are a pixel aside."""
     height, width = dynamic.shape
     center = centers(*keys.shape)
     own = center * (F(1) / zoom)
@@ -52,11 +53,38 @@ def places_beside(keys, target_position, dynamic, zoom, to_source):
     place = np.where(((found == NOTHING) & ~(far[..., 2] > 0))[..., None], own, beside)
 
     there, off = target_position[pixel_at(place)], target_position[pixel_at(place)][..., :2] - center
-    stays = (place >= 0).all(-1) & (place < (width, height)).all(-1) & (np.abs(off) <= DILATED.GONE).all(-1)
+    within = (place >= 0).all(-1) & (place < (width, height)).all(-1)
+    stays = within & (np.abs(off) <= DILATED.GONE).all(-1)
     moved = np.stack(pixel_at(place)[::-1], -1).astype(F) + F(0.5) - off * (F(1) / zoom)
+    moves = dynamic[pixel_at(place)] > 0
     is_free = target_position[pixel_at(moved)][..., 2] >= DILATED.NEARER * there[..., 2]
-    goes = (keys == NOTHING) & (dynamic[pixel_at(place)] > 0) & ~stays & (there[..., 2] > 0) & is_free
-    return np.where(goes[..., None], moved, place)
+    is_free &= moves | ((dynamic[pixel_at(moved)] == 0) & (moved >= 0).all(-1) & (moved < (width, height)).all(-1))
+    holes = keys == NOTHING
+    goes = holes & (moves | (within & (found == NOTHING))) & ~stays & (there[..., 2] > 0) & is_free
+    place = np.where(goes[..., None], moved, place)
+    return np.where(holes[..., None], off_outlines(place, center, target_position, dynamic, zoom), place)
+
+
+def off_outlines(place, center, target_position, dynamic, zoom):
+    """Return `place`, or a pixel aside where it is beside a nearer static surface that has gone from `center`."""
+    height, width = dynamic.shape
+    inner = (place >= 1).all(-1) & (place < (width - 1, height - 1)).all(-1)
+    x, y = np.moveaxis(np.where(inner[..., None], place, 1).astype(int), -1, 0)
+    depth = target_position[..., 2]
+    if min(width, height) < 3:
+        return place
+    z, away, tap = depth[y, x], np.zeros(place.shape, int), np.zeros(place.shape, int)
+    for dy, dx in TAPS[1:]:
+        nearer = (depth[y + dy, x + dx] > 0) & (depth[y + dy, x + dx] < DILATED.NEARER * z)
+        away -= nearer[..., None] * (dx, dy)
+        tap = np.where(nearer[..., None], (dx, dy), tap)
+    there_y, there_x = y + tap[..., 1], x + tap[..., 0]
+    shown = target_position[there_y, there_x][..., :2] - zoom * tap.astype(F)
+    goes = inner & tap.any(-1) & (dynamic[there_y, there_x] == 0) & (np.abs(shown - center) > DILATED.GONE).any(-1)
+    away = np.clip(away, -1, 1)
+    z_aside = depth[y + away[..., 1], x + away[..., 0]]
+    alike = ~(z_aside < DILATED.NEARER * z) & ~(z < DILATED.NEARER * z_aside)
+    return np.where((goes & alike)[..., None], place + away.astype(F), place)
 
 
 def resample_dilated(keys, target_position, color, dynamic, zoom, to_source, sharpness):
