@@ -3,6 +3,7 @@
 
 #include "stencil.h"
 #include "rgb9e5.h"
+#include "color_code.h"
 
 /* What set the thresholds: docs/deviations.md, "Silhouettes stay antialiased". */
 #define STEP 0.05f           /* relative step of inverse depth between two layers */
@@ -78,10 +79,38 @@ INLINE Ints layers_part(const Span p, const Source s, __global const float *dept
     return step & part & (d->z[4] > 0.0f);
 }
 
+/* Level 0 of the background: the rendered frame's static surfaces as they were before something covered them. */
+typedef struct {
+    bool exists;
+    float code_offset;
+    __global const uchar *state;
+    __global const float *depth;
+    __global const uint *color;
+} Memory;
+
+/* Gives which of the `wanted` pixels, of depth z, it remembers, and the codes of their surface's color. */
+INLINE Ints recall(const Span p, const Ints wanted, const Floats z, const Memory m, Floats *remembered) {
+    Floats known = 0.0f;
+    remembered[0] = remembered[1] = remembered[2] = 0.0f;
+    for (int k = 0; m.exists && ANY(wanted) && k < LANES; ++k) {
+        const int src = p.y * p.width + p.x + k;
+        if (!int_of(&wanted, k) || m.state[src] != REMEMBERED) continue;
+        const float own = float_of(&z, k);
+        if (!is_same_surface(m.depth[src], own, STEP * own)) continue;
+        const float3 code = encode_color(unpack_color(m.color[src]), m.code_offset);
+        set_float(remembered, k, code.x);
+        set_float(remembered + 1, k, code.y);
+        set_float(remembered + 2, k, code.z);
+        set_float(&known, k, 1.0f);
+    }
+    return known > 0.0f;
+}
+
 /* The nearer layer's share of pixels, and the color of the covered surface: where a pixel's color lies between the
-   mean colors of both layers around. */
-INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links,
-                  Floats *behind, Floats *share) {
+   mean colors of both layers around. The larger that share, the more counts the surface's remembered color, if it is
+   as likely as the far layer's mean color. */
+INLINE void unmix(const Span p, const Ints wanted, const Depths *d, __global const half *codes,
+                  __global const uchar *links, const Memory memory, Floats *behind, Floats *share) {
     Strip near_sum, far_sum;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) near_sum.part[part] = far_sum.part[part] = (Texels)(0.0f);
@@ -124,8 +153,20 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __g
     }
     const Floats low = is_near ? (Floats)(0.5f) : (Floats)(0.0f);
     const Floats coverage = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.5f);
+    Floats remembered[3], differs = 0.0f;
+    const Ints known = recall(p, wanted & !is_near & is_inside(p, 0, 0), d->z[4], memory, remembered);
 #pragma unroll
-    for (int c = 0; c < 3; ++c) behind[c] = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
+    for (int c = 0; c < 3; ++c) {
+        const Floats relative = (remembered[c] - far[c]) * scale;
+        differs += relative * relative;
+    }
+    const Floats counts =
+        (known & (squared > 0.0f)) ? wide_divide(2.0f * coverage * squared, squared + differs) : (Floats)(0.0f);
+#pragma unroll
+    for (int c = 0; c < 3; ++c) {
+        const Floats own_far = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
+        behind[c] = own_far + counts * (remembered[c] - own_far);
+    }
     *share = coverage;
 }
 
@@ -152,7 +193,8 @@ typedef struct {
    they come unmarked. */
 INLINE void find_layers(const int src_x, const int src_y, __constant Frame *frame, __global const float *depth,
                         __global const uchar *links, __global const uchar *smooth,
-                        __global const float *target_position, __global const half *codes, const FoundLayers to) {
+                        __global const float *target_position, __global const half *codes, const Memory memory,
+                        const FoundLayers to) {
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int src = src_y * source_width + src_x, count = min(source_width - src_x, LANES);
@@ -174,10 +216,10 @@ INLINE void find_layers(const int src_x, const int src_y, __constant Frame *fram
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, codes, links, colors, &shares);
+            if (ANY(part)) unmix(p, part, &d, codes, links, memory, colors, &shares);
         } else {
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, &d, codes, links, colors, &shares);
+            if (ANY(part)) unmix(p, part, &d, codes, links, memory, colors, &shares);
         }
     }
     if (!ANY(part)) {

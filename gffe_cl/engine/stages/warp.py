@@ -45,6 +45,7 @@ class Warp(NearestStage):
                 "links": "connectivity.links",
                 "target_position": "prediction.target_position",
             }
+            | {f"level_{name}": f"background.{name}_0" for name in ("state", "depth", "color")}
             | _KEYS,
             _KEYS
             | {"open": "warp.open"}

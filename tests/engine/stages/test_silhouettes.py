@@ -4,7 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 from synthetic import Rect, Rects, camera
+from twin_cases import read_levels
+from twins import REMEMBERED
 from twins import silhouettes as twins_silhouettes
+from twins.warp import codes_of
 
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -46,7 +49,10 @@ def test_kernels_equal_their_twins(case):
         return
     positions, links = case.read("prediction", "target_position"), case.read("connectivity", "links")
     color, smooth = case.now.color, case.read("backward_blocks", "smooth")
-    layer, behind = twins_silhouettes.find_layers(color, case.now.depth, links, smooth, positions, case.zoom)
+    layers_of = (case.now.depth, links, smooth, positions, case.zoom)
+    layer, behind = twins_silhouettes.find_layers(color, *layers_of, read_levels(case.pipeline, case.now))
+    without = twins_silhouettes.find_layers(color, *layers_of, [])[1]
+    assert (without != behind).any() == (case.options.levels > 0)
     share = case.read("silhouettes", "share").astype(np.float32) / np.float32(255)
     kept = case.read("silhouettes", "behind")[..., :3].astype(np.float32)
     got = case.read("silhouettes", "layer"), np.concatenate([kept, share[..., None]], -1)
@@ -105,3 +111,15 @@ def test_what_moves_along_stays_as_it_is(device):
     pipeline.extrapolate(camera(W, H), 0.5 / 30)
     assert not pipeline.stages["silhouettes"].read("layer").any()
     assert pipeline.board.frame.read("color")[..., :3].tobytes() == np.ascontiguousarray(frame.color[..., :3]).tobytes()
+
+
+def test_remembered_colors_unmix(device):
+    """Where the background remembers what a mover is about to cover, the mover's share is taken out better."""
+    wall = Rects([Rect((0, 0, 12), (12, 9), frequency=4, tint=(0.3, 0.5, 0.9))])
+    both = Rects([*wall.rects, Rect((-0.6, 0.3, 6), (0.7, 1.1), velocity=(7, 2, 0), frequency=3, tint=(1, 0.4, 0.1))])
+    fewer, more = (extrapolated(device, Options(levels=levels), both) for levels in (0, 1))
+    remembered = more.stages["background"].read("state_0") == REMEMBERED
+    far = remembered & (more.stages["silhouettes"].read("layer") == twins_silhouettes.FAR)
+    truth = twins_silhouettes.color_of(codes_of(antialiased(3, None, wall).color))
+    errors = [np.square(p.stages["silhouettes"].read("behind")[..., :3] - truth)[far].mean() for p in (fewer, more)]
+    assert errors[1] < 0.3 * errors[0]

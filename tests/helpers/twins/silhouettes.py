@@ -4,7 +4,7 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.buffers import BLOCK
-from twins.background import as_rgb9e5
+from twins.background import REMEMBERED, as_rgb9e5
 from twins.common import COMMON, decode_color, encode_color
 from twins.warp import codes_of
 
@@ -37,8 +37,9 @@ def halfway(depths):
     return F(2) * nearest * (F(1) if np.isinf(farthest) else farthest / (nearest + farthest))
 
 
-def find_layers(color, depth, links, smooth, target_position, zoom):
-    """Return layer (H, W) uint8 and behind (H, W, 4) float32: a code and a share. `smooth`: of source blocks."""
+def find_layers(color, depth, links, smooth, target_position, zoom, levels):
+    """Return layer (H, W) uint8 and behind (H, W, 4) float32: a code and a share. `smooth`: of source blocks; `levels`:
+    the background's, perhaps none."""
     height, width = depth.shape
     color, layer = color_of(codes_of(color)), np.zeros((height, width), np.uint8)
     behind = np.zeros((height, width, 4), F)
@@ -58,7 +59,8 @@ def find_layers(color, depth, links, smooth, target_position, zoom):
             parts |= bool(other and e[0] < CONSTANTS["ANYWHERE"] and e.max() > MOVES_APART)
         if parts:
             layer[y, x] = NEAR if is_near else FAR
-            behind[y, x] = unmixed(color, depth, links, x, y, near_by, middle)
+            remembered = None if is_near or not levels else recalled(levels[0], x, y, depth[y, x])
+            behind[y, x] = unmixed(color, depth, links, x, y, near_by, middle, remembered)
     return layer, behind
 
 
@@ -74,7 +76,14 @@ def mark_blocks(layer, target_position, size):
     return marked
 
 
-def unmixed(color, depth, links, x, y, near_by, middle):
+def recalled(level, x, y, z):
+    """Return the code of what a level of the background remembers of the surface of depth z at a pixel, or None."""
+    d = level["depth"][y, x]
+    alike = np.isinf(d) if np.isinf(z) else abs(d - z) <= STEP * z
+    return encode_color(color_of(level["color"][y, x])) if level["state"][y, x] == REMEMBERED and alike else None
+
+
+def unmixed(color, depth, links, x, y, near_by, middle, remembered):
     sums = np.zeros((2, 4), F)
     for u, v, dx, dy in near_by:
         if depth[v, u] > 0:
@@ -87,7 +96,11 @@ def unmixed(color, depth, links, x, y, near_by, middle):
     squared, along = (relative * relative).sum(), (offset * relative).sum()
     low, high = (F(0.5), F(1)) if is_near else (F(0), F(0.5))
     coverage = np.clip(along / squared, low, high) if squared > 0 else F(0.5)
-    return np.append(far if is_near else np.maximum(own - coverage * contrast, 0), coverage)
+    behind = far if is_near else own - coverage * contrast
+    if remembered is not None and squared > 0:
+        differs = (((remembered - far) * scale) ** 2).sum()
+        behind = behind + F(2) * coverage * squared / (squared + differs) * (remembered - behind)
+    return np.append(np.maximum(behind, 0), coverage)
 
 
 def stored(code):
