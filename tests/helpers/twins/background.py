@@ -172,11 +172,19 @@ def project_background(warped, levels, zoom, to_target, to_source):
     def of_one_surface(d, winner):
         return np.isinf(d) if np.isinf(winner) else abs(d - winner) <= F(2) * BACKGROUND.SAME_LEVEL * winner
 
+    def is_supported(y, x, z):
+        d, shown = BACKGROUND.SUPPORT_AT, 0
+        for at in ((y, x - d), (y, x + d), (y - d, x), (y + d, x)):
+            if 0 <= at[0] < height and 0 <= at[1] < width:
+                there = best.get(at, (F(np.nan),))[0] if holes[at] else warped["depth"][at]
+                shown += np.isinf(there) if np.isinf(z) else abs(there - z) <= BACKGROUND.SUPPORT_ALIKE * z
+        return shown >= BACKGROUND.SUPPORT_LEAST
+
     for (y, x), (z, number, i) in best.items():
         if warped["filled_by"][y, x] in (COMMON.BY_HIDDEN_PART, COMMON.BY_REAPPEARING):
             continue
         at = reproject(px[y, x][None], np.array([z], F), to_source)[0]
-        if is_outside(at, levels[0]["depth"]):
+        if is_outside(at, levels[0]["depth"]) or (number > 0 and not is_supported(y, x, z)):
             continue
         level = levels[number]
         level_height, level_width = level["depth"].shape
