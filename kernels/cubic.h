@@ -5,6 +5,7 @@
 /* What set the constants: docs/deviations.md, "Edges are as sharp as earlier frames were". */
 #define LEAST_EDGE 0.1f /* range of the four inner taps, white being 1, above which an edge is steepened ... */
 #define FULL_EDGE 0.3f /* ... and from which on it is so in full */
+#define GOES_ON 0.6f /* of that range, between the means of outer taps on opposite sides: from there on it goes on */
 
 #define CATMULL_ROM 0.5f /* slope */
 
@@ -45,30 +46,37 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
 }
 
 /* The sum, of type F, over taps in these columns and rows of an image, of finite numbers, clamped to the four inner
-   taps. A column at a time: all of them at once take 48 registers of a GPU. Where the inner taps are of an edge, the
-   sum moves away from the middle of four outer taps, one of each side. */
+   taps. A column at a time: all of them at once take 48 registers of a GPU. Where the inner taps are of an edge that
+   goes on, from one side of them to the other, the sum moves away from the middle of the pairs of outer taps. */
 #define DEFINE_CUBIC(F, Image, load, of, cubic)                                                                        \
     INLINE F cubic(const int *columns, const int *rows, const Cubic *w, const int k, Image image) {                    \
-        F total, low, high, least, most;                                                                               \
+        F total, low, high, side[4]; /* sums of the outer taps on the left, above, below, on the right */              \
         _Pragma("unroll") for (int tx = 0; tx < 4; ++tx) {                                                             \
             const F b = load(rows[1] + columns[tx], image), c = load(rows[2] + columns[tx], image);                    \
-            F column = of(w->y[1], k) * b + of(w->y[2], k) * c, outer = tx == 0 ? b : c;                               \
+            F column = of(w->y[1], k) * b + of(w->y[2], k) * c;                                                        \
             if (tx == 1 || tx == 2) {                                                                                  \
                 const F a = load(rows[0] + columns[tx], image), d = load(rows[3] + columns[tx], image);                \
                 column += of(w->y[0], k) * a + of(w->y[3], k) * d;                                                     \
-                outer = tx == 1 ? d : a;                                                                               \
+                side[1] = tx == 1 ? a : side[1] + a;                                                                   \
+                side[2] = tx == 1 ? d : side[2] + d;                                                                   \
                 const F lower = b < c ? b : c, higher = b < c ? c : b;                                                 \
                 low = tx == 1 ? lower : low < lower ? low : lower;                                                     \
                 high = tx == 1 ? higher : high < higher ? higher : high;                                               \
+            } else {                                                                                                   \
+                side[tx] = b + c;                                                                                      \
             }                                                                                                          \
-            least = tx == 0 ? outer : outer < least ? outer : least;                                                   \
-            most = tx == 0 ? outer : most < outer ? outer : most;                                                      \
             total = tx == 0 ? of(w->x[0], k) * column : total + of(w->x[tx], k) * column;                              \
         }                                                                                                              \
         if (w->sharp.edges) {                                                                                          \
             const float dull = LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                                                  \
-            const F edge = clamp((high - low) * w->sharp.per_range - dull, 0.0f, 1.0f);                                \
-            total -= of(w->steeper, k) * edge * (0.5f * (least + most) - total);                                       \
+            const F range = high - low, one = fabs(side[3] - side[0]), other = fabs(side[2] - side[1]);                \
+            const F least_x = side[0] < side[3] ? side[0] : side[3], most_x = side[0] < side[3] ? side[3] : side[0];   \
+            const F least_y = side[1] < side[2] ? side[1] : side[2], most_y = side[1] < side[2] ? side[2] : side[1];   \
+            const F middle = 0.25f * ((least_x < least_y ? least_x : least_y) + (most_x < most_y ? most_y : most_x));  \
+            const F goes_on = 0.5f * (one < other ? other : one) - GOES_ON * range;                                    \
+            const F edge = clamp(range * w->sharp.per_range - dull, 0.0f, 1.0f)                                        \
+                           * clamp(goes_on * w->sharp.per_range, 0.0f, 1.0f);                                          \
+            total -= of(w->steeper, k) * edge * (middle - total);                                                      \
         }                                                                                                              \
         const F raised = total < low ? low : total;                                                                    \
         return high < raised ? high : raised;                                                                          \

@@ -23,12 +23,14 @@ def test_kernel_equals_its_twin(device, size):
         if past is not None:
             dynamic = pipeline.stages["history"].read("dynamic_mask")
             to_previous = reprojection(now.camera, past.camera)
-            sums = compare(now.color, now.depth, now.motion, dynamic, past.color, past.depth, to_previous)
+            number = pipeline.frames.number
+            sums = compare(now.color, now.depth, now.motion, dynamic, past.color, past.depth, to_previous, number)
             expected = SHARPNESS.EVIDENCE_KEPT * expected + sums
         past = now
     found = stage.read("evidence").ravel()
     np.testing.assert_allclose(found, expected, rtol=1e-3, atol=1e-3)
-    share = np.clip(found[0] / (found[1] + SHARPNESS.LEAST_EVIDENCE) - SHARPNESS.TAKEN_OFF, 0, SHARPNESS.SHARPEST)
+    least = SHARPNESS.LEAST_EVIDENCE
+    share = np.clip((found[0] + SHARPNESS.EXPECTED * least) / (found[1] + least), 0, SHARPNESS.SHARPEST)
     assert found[1] > 0 and stage.read("sharpness").item() == pytest.approx(share, rel=1e-5)
     pipeline.submit(next(frames(*size)))
     assert not stage.read("evidence").any() and stage.read("sharpness").item() == 0

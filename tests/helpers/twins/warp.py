@@ -264,14 +264,19 @@ def cubic_of(taps, u, v, sharpness, white):
         if tx in (1, 2):
             column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
         cubic = cubic + wx[tx][..., None] * column
-    outer = np.stack([taps[1, 0], taps[3, 1], taps[0, 2], taps[2, 3]])
+    left, right = (taps[1, tx] + taps[2, tx] for tx in (0, 3))
+    above, below = (taps[ty, 1] + taps[ty, 2] for ty in (0, 3))
+    sides = np.stack([left, above, below, right])
     inner = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
     low, high = inner.min(0), inner.max(0)
     span = WARP.FULL_EDGE - WARP.LEAST_EDGE
-    edge = np.clip((high - low) * (F(1 / span) / white) - F(WARP.LEAST_EDGE / span), F(0), F(1))
+    per_range = F(1 / span) / white
+    goes_on = F(0.5) * np.maximum(np.abs(right - left), np.abs(below - above)) - WARP.GOES_ON * (high - low)
+    edge = np.clip((high - low) * per_range - F(WARP.LEAST_EDGE / span), F(0), F(1))
+    edge = edge * np.clip(goes_on * per_range, F(0), F(1))
     midway = F(1) - np.abs(F(2) * u - F(1)) * np.abs(F(2) * v - F(1))
     amount = (WARP.STEEPER * sharpness * midway)[..., None]
-    cubic = cubic - amount * edge * (F(0.5) * (outer.min(0) + outer.max(0)) - cubic)
+    cubic = cubic - amount * edge * (F(0.25) * (sides.min(0) + sides.max(0)) - cubic)
     return np.clip(cubic, low, high)
 
 
