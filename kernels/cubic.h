@@ -50,33 +50,36 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
    goes on, from one side of them to the other, the sum moves away from the middle of the pairs of outer taps. */
 #define DEFINE_CUBIC(F, Image, load, of, cubic)                                                                        \
     INLINE F cubic(const int *columns, const int *rows, const Cubic *w, const int k, Image image) {                    \
-        F total, low, high, side[4]; /* sums of the outer taps on the left, above, below, on the right */              \
-        _Pragma("unroll") for (int tx = 0; tx < 4; ++tx) {                                                             \
+        F total, low, high, above, below, left; /* sums of the outer taps on each side */                              \
+        _Pragma("unroll") for (int n = 0; n < 4; ++n) { /* the inner columns first, which need most registers */       \
+            const int tx = n < 2 ? n + 1 : 3 * (n - 2);                                                                \
             const F b = load(rows[1] + columns[tx], image), c = load(rows[2] + columns[tx], image);                    \
             F column = of(w->y[1], k) * b + of(w->y[2], k) * c;                                                        \
-            if (tx == 1 || tx == 2) {                                                                                  \
+            if (n < 2) {                                                                                               \
                 const F a = load(rows[0] + columns[tx], image), d = load(rows[3] + columns[tx], image);                \
                 column += of(w->y[0], k) * a + of(w->y[3], k) * d;                                                     \
-                side[1] = tx == 1 ? a : side[1] + a;                                                                   \
-                side[2] = tx == 1 ? d : side[2] + d;                                                                   \
+                above = n == 0 ? a : above + a;                                                                        \
+                below = n == 0 ? d : below + d;                                                                        \
                 const F lower = b < c ? b : c, higher = b < c ? c : b;                                                 \
-                low = tx == 1 ? lower : low < lower ? low : lower;                                                     \
-                high = tx == 1 ? higher : high < higher ? higher : high;                                               \
-            } else {                                                                                                   \
-                side[tx] = b + c;                                                                                      \
+                low = n == 0 ? lower : low < lower ? low : lower;                                                      \
+                high = n == 0 ? higher : high < higher ? higher : high;                                                \
+            } else if (n == 2) {                                                                                       \
+                left = b + c;                                                                                          \
             }                                                                                                          \
-            total = tx == 0 ? of(w->x[0], k) * column : total + of(w->x[tx], k) * column;                              \
-        }                                                                                                              \
-        if (w->sharp.edges) {                                                                                          \
-            const float dull = LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                                                  \
-            const F range = high - low, one = fabs(side[3] - side[0]), other = fabs(side[2] - side[1]);                \
-            const F least_x = side[0] < side[3] ? side[0] : side[3], most_x = side[0] < side[3] ? side[3] : side[0];   \
-            const F least_y = side[1] < side[2] ? side[1] : side[2], most_y = side[1] < side[2] ? side[2] : side[1];   \
-            const F middle = 0.25f * ((least_x < least_y ? least_x : least_y) + (most_x < most_y ? most_y : most_x));  \
-            const F goes_on = 0.5f * (one < other ? other : one) - GOES_ON * range;                                    \
-            const F edge = clamp(range * w->sharp.per_range - dull, 0.0f, 1.0f)                                        \
-                           * clamp(goes_on * w->sharp.per_range, 0.0f, 1.0f);                                          \
-            total -= of(w->steeper, k) * edge * (middle - total);                                                      \
+            total = n == 0 ? of(w->x[tx], k) * column : total + of(w->x[tx], k) * column;                              \
+            if (n == 3 && w->sharp.edges) {                                                                            \
+                const F right = b + c;                                                                                 \
+                const float dull = LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                                              \
+                const F range = high - low, one = fabs(right - left), other = fabs(below - above);                     \
+                const F least_x = left < right ? left : right, most_x = left < right ? right : left;                   \
+                const F least_y = above < below ? above : below, most_y = above < below ? below : above;               \
+                const F middle =                                                                                       \
+                    0.25f * ((least_x < least_y ? least_x : least_y) + (most_x < most_y ? most_y : most_x));           \
+                const F goes_on = 0.5f * (one < other ? other : one) - GOES_ON * range;                                \
+                const F edge = clamp(range * w->sharp.per_range - dull, 0.0f, 1.0f)                                    \
+                               * clamp(goes_on * w->sharp.per_range, 0.0f, 1.0f);                                      \
+                total -= of(w->steeper, k) * edge * (middle - total);                                                  \
+            }                                                                                                          \
         }                                                                                                              \
         const F raised = total < low ? low : total;                                                                    \
         return high < raised ? high : raised;                                                                          \

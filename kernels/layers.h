@@ -88,29 +88,36 @@ typedef struct {
     __global const uint *color;
 } Memory;
 
-/* Gives which of the `wanted` pixels, of depth z, it remembers, and the codes of their surface's color. */
-INLINE Ints recall(const Span p, const Ints wanted, const Floats z, const Memory m, Floats *remembered) {
-    Floats known = 0.0f;
-    remembered[0] = remembered[1] = remembered[2] = 0.0f;
-    for (int k = 0; m.exists && ANY(wanted) && k < LANES; ++k) {
+/* What is known of pixels' two layers: the near one's share, the code of the covered surface's color, the mean of the
+   far layer's codes, and the squared contrast of both layers, times 1 / size. */
+typedef struct {
+    Floats share, behind[3], far[3], contrast, per_size;
+} Unmixed;
+
+/* Mixes the covered surface's color of the `wanted` pixels, of depth z, with what is remembered of it. The larger the
+   near layer's share, the more that counts, if it is as likely as the far layer's mean color. */
+INLINE void recall(const Span p, const Ints wanted, const Floats z, const Memory m, Unmixed *u) {
+    const int count = min(LANES, p.width - p.x);
+    for (int k = 0; m.exists && ANY(wanted) && k < count; ++k) {
         const int src = p.y * p.width + p.x + k;
         if (!int_of(&wanted, k) || m.state[src] != REMEMBERED) continue;
-        const float own = float_of(&z, k);
-        if (!is_same_surface(m.depth[src], own, STEP * own)) continue;
-        const float3 code = encode_color(unpack_color(m.color[src]), m.code_offset);
-        set_float(remembered, k, code.x);
-        set_float(remembered + 1, k, code.y);
-        set_float(remembered + 2, k, code.z);
-        set_float(&known, k, 1.0f);
+        const float own = float_of(&z, k), contrast = float_of(&u->contrast, k);
+        if (!is_same_surface(m.depth[src], own, STEP * own) || !(contrast > 0.0f)) continue;
+        const float3 remembered = encode_color(unpack_color(m.color[src]), m.code_offset);
+        const float3 far = {float_of(u->far, k), float_of(u->far + 1, k), float_of(u->far + 2, k)},
+                     behind = {float_of(u->behind, k), float_of(u->behind + 1, k), float_of(u->behind + 2, k)};
+        const float differs = squared_length((remembered - far) * float_of(&u->per_size, k));
+        const float counts = divide(2.0f * float_of(&u->share, k) * contrast, contrast + differs);
+        const float3 mixed = behind + counts * (remembered - behind);
+        set_float(u->behind, k, mixed.x);
+        set_float(u->behind + 1, k, mixed.y);
+        set_float(u->behind + 2, k, mixed.z);
     }
-    return known > 0.0f;
 }
 
 /* The nearer layer's share of pixels, and the color of the covered surface: where a pixel's color lies between the
-   mean colors of both layers around. The larger that share, the more counts the surface's remembered color, if it is
-   as likely as the far layer's mean color. */
-INLINE void unmix(const Span p, const Ints wanted, const Depths *d, __global const half *codes,
-                  __global const uchar *links, const Memory memory, Floats *behind, Floats *share) {
+   mean colors of both layers around. */
+INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __global const uchar *links, Unmixed *u) {
     Strip near_sum, far_sum;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) near_sum.part[part] = far_sum.part[part] = (Texels)(0.0f);
@@ -153,21 +160,14 @@ INLINE void unmix(const Span p, const Ints wanted, const Depths *d, __global con
     }
     const Floats low = is_near ? (Floats)(0.5f) : (Floats)(0.0f);
     const Floats coverage = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.5f);
-    Floats remembered[3], differs = 0.0f;
-    const Ints known = recall(p, wanted & !is_near & is_inside(p, 0, 0), d->z[4], memory, remembered);
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
-        const Floats relative = (remembered[c] - far[c]) * scale;
-        differs += relative * relative;
+        u->far[c] = far[c];
+        u->behind[c] = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
     }
-    const Floats counts =
-        (known & (squared > 0.0f)) ? wide_divide(2.0f * coverage * squared, squared + differs) : (Floats)(0.0f);
-#pragma unroll
-    for (int c = 0; c < 3; ++c) {
-        const Floats own_far = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
-        behind[c] = own_far + counts * (remembered[c] - own_far);
-    }
-    *share = coverage;
+    u->share = coverage;
+    u->contrast = squared;
+    u->per_size = scale;
 }
 
 /* Marks the blocks around the pixel where a fragment goes. */
@@ -210,16 +210,15 @@ INLINE void find_layers(const int src_x, const int src_y, __constant Frame *fram
     Span p = {src_x, src_y, source_width, source_height, false};
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
-    Floats shares = 0.0f;
-    Floats colors[3] = {0.0f, 0.0f, 0.0f};
+    Unmixed u;
     if (ANY(part)) {
         if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
             p.inner = true;
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, part, &d, codes, links, memory, colors, &shares);
+            if (ANY(part)) unmix(p, &d, codes, links, &u);
         } else {
             part &= layers_part(p, s, depth, &d);
-            if (ANY(part)) unmix(p, part, &d, codes, links, memory, colors, &shares);
+            if (ANY(part)) unmix(p, &d, codes, links, &u);
         }
     }
     if (!ANY(part)) {
@@ -228,7 +227,8 @@ INLINE void find_layers(const int src_x, const int src_y, __constant Frame *fram
     }
     const Ints side = d.z[4] < d.middle ? (Ints)(NEAR) : (Ints)(FAR);
     store_some_bytes(to_bytes(part ? side : (Ints)(NO_LAYER)), count, to.layer + src);
-    const Ints packed = pack_colors(colors[0], colors[1], colors[2]), bytes = to_ints(SHARES * shares + 0.5f);
+    recall(p, part & !(d.z[4] < d.middle), d.z[4], memory, &u);
+    const Ints packed = pack_colors(u.behind[0], u.behind[1], u.behind[2]), bytes = to_ints(SHARES * u.share + 0.5f);
     for (int k = 0; k < count; ++k) {
         if (!int_of(&part, k)) continue;
         to.behind[src + k] = (uint)int_of(&packed, k);

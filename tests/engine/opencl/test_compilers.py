@@ -327,6 +327,8 @@ EXCESSES = {
     ("background.fill_from_levels", "dg2-g10", "SIMD8"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
+    ("warp.splat", "sm_86", "registers"): ("silhouettes ask the background; two registers too many", ""),
+    ("prediction.predict_positions", "dg2-g10", "SIMD8"): ("most see no mover", ""),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("prediction.predict_positions", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("scenes/scene.shade", "sm_86", "memory"): (_SCENES, ""),

@@ -259,7 +259,7 @@ def cubic_of(taps, u, v, sharpness, white):
     wx, wy = cubic_weights(u, slope), cubic_weights(v, slope)
     wx = wx * (F(1) / (F(1) - (wx[0] + wx[3]) * (wy[0] + wy[3])))
     cubic = F(0)
-    for tx in range(4):
+    for tx in (1, 2, 0, 3):
         column = wy[1][..., None] * taps[1, tx] + wy[2][..., None] * taps[2, tx]
         if tx in (1, 2):
             column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
