@@ -526,6 +526,7 @@ typedef struct {
 INLINE bool is_supported(const int dst_x, const int dst_y, const float z, __constant Frame *frame,
                          __global const uchar *disoccluded, const NewFrame to) {
     int support = 0;
+#pragma unroll 1
     for (int k = 0; k < 4; ++k) {
         const int step = k & 1 ? SUPPORT_AT : -SUPPORT_AT, x = dst_x + (k & 2 ? step : 0),
                   y = dst_y + (k & 2 ? 0 : step);
