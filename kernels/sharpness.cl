@@ -13,7 +13,6 @@
 #define EXPECTED 0.8f /* sharpness without evidence */
 #define LEAST_EVIDENCE 0.02f /* with as much evidence, half of the sharpness found counts, and half of the EXPECTED */
 #define SHARPEST 2.0f
-#define SHIFTS 64 /* of the samples, a power of two */
 #define UNIT 524288.0f /* of sums in integers, which depend on no order: no sample adds more than 1 */
 
 /* Sums, over the samples, of products: what a sharpness of 1 changes, times the difference that is to be explained, and
@@ -67,12 +66,6 @@ INLINE void compare(const int x, const int y, __constant Frame *frame, __global 
     sums[CHANGED] += change * change;
 }
 
-/* Pixel of sample k of `count` along a side. `turn` shifts the lattice, so that successive frames sample other pixels.
- */
-INLINE int place_of(const int k, const int turn, const int count, const int side) {
-    return (SHIFTS * k + (turn & (SHIFTS - 1))) * side / (SHIFTS * count);
-}
-
 /* A sample per work-item, a row of them per work-group. The last group finds the sharpness. */
 __kernel __attribute__((reqd_work_group_size(SAMPLES_X, 1, 1))) void
 measure_sharpness(__constant Frame *restrict frame, __global const half *color, __global const float *depth,
@@ -84,10 +77,9 @@ measure_sharpness(__constant Frame *restrict frame, __global const half *color, 
     __local int of_group[2];
     if (item < 2) of_group[item] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    const int turn = frame->number & (SHIFTS - 1);
     float sums[2] = {0.0f, 0.0f};
     if (frame->has_previous && item < columns)
-        compare(place_of(item, 47 * turn, columns, width), place_of(row, 37 * turn, rows, height), frame, color, depth,
+        compare((2 * item + 1) * width / (2 * columns), (2 * row + 1) * height / (2 * rows), frame, color, depth,
                 motion, dynamic_mask, color_prev, depth_prev, sums);
     for (int k = 0; k < 2; ++k) atomic_add(of_group + k, (int)floor(UNIT * sums[k] + 0.5f));
     barrier(CLK_LOCAL_MEM_FENCE);

@@ -271,8 +271,8 @@ def test_bad_pixels_do_no_harm(device, kind, value):
     is_far = kind == "depth" and value == 1e38  # it becomes sky
     for name, image in made.items():
         assert (np.isfinite(image) | (is_far and name == "depth" and np.isposinf(image))).all(), name
-    changed = (without["color"] != made["color"]).any(-1)
-    assert changed.mean() < 0.04
+    changed = np.abs(without["color"].astype(np.float32) - made["color"].astype(np.float32)).max(-1)
+    assert (changed > 0.01).mean() < 0.04 and np.median(changed) < 0.002  # how sharp edges are is one value per frame
     counted = {
         "motion": 0 if np.isfinite(value) else 16,
         "depth": 0 if value >= np.finfo(np.float32).tiny else 16,

@@ -23,8 +23,7 @@ def test_kernel_equals_its_twin(device, size):
         if past is not None:
             dynamic = pipeline.stages["history"].read("dynamic_mask")
             to_previous = reprojection(now.camera, past.camera)
-            number = pipeline.frames.number
-            sums = compare(now.color, now.depth, now.motion, dynamic, past.color, past.depth, to_previous, number)
+            sums = compare(now.color, now.depth, now.motion, dynamic, past.color, past.depth, to_previous)
             expected = SHARPNESS.EVIDENCE_KEPT * expected + sums
         past = now
     found = stage.read("evidence").ravel()

@@ -17,19 +17,17 @@ def _luma(color):
     return (F(1) - dark**4)[..., None]
 
 
-def _places(count, turn, side):
-    """Return the pixels of samples along a side, which a frame's number shifts."""
-    return (SHARPNESS.SHIFTS * np.arange(count) + turn % SHARPNESS.SHIFTS) * side // (SHARPNESS.SHIFTS * count)
-
-
-def compare(color, depth, motion, dynamic, color_prev, depth_prev, to_previous, number):
+def compare(color, depth, motion, dynamic, color_prev, depth_prev, to_previous):
     """Return the sums (explained, changed) over the samples of a rendered frame."""
     height, width = depth.shape
     columns, rows = min(width, SHARPNESS.SAMPLES_X), min(height, SHARPNESS.SAMPLES_Y)
     y, x = (
         n.ravel()
-        for n in np.meshgrid(_places(rows, 37 * number, height), _places(columns, 47 * number, width), indexing="ij")
-    )
+        for n in np.meshgrid(
+            (2 * np.arange(rows) + 1) * height // (2 * rows), (2 * np.arange(columns) + 1) * width // (2 * columns),
+            indexing="ij",
+        )
+    )  # fmt: skip
     z = depth[y, x]
     use = ~invalid(z) & ~np.isinf(z)
     center = np.stack([x, y], -1).astype(F) + F(0.5)
