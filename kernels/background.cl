@@ -533,7 +533,7 @@ INLINE bool is_supported(const int dst_x, const int dst_y, const float z, __cons
         if (!inside(x, y, frame->target_width, frame->target_height)) continue;
         const int i = y * frame->target_width + x;
         const float there = disoccluded[i] ? as_float(depth_bits_of(to.keys, i)) : to.depth[i];
-        support += isinf(z) ? isinf(there) : fabs(there - z) <= SUPPORT_ALIKE * z;
+        support += is_same_surface(there, z, SUPPORT_ALIKE * z);
     }
     return support >= SUPPORT_LEAST;
 }
