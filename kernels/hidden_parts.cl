@@ -2,8 +2,8 @@
    in a disocclusion moves like the dynamic fragments next to it, so its place in the rendered frame is known. The
    warp brought nothing from there, so the part was hidden, or its depth is invalid. Where that frame shows a surface
    there that is not nearer, the mover has no part there, and the hole is left to the background; so it is where the
-   frame before showed something farther where that part was then. A mover that enters through the border of the image
-   has parts that no frame has shown: it is continued to that border.
+   frame before showed something farther where that part was then. A mover at the border of the rendered image that
+   enters has parts which no frame has shown: they have its color there.
 
    A part that the frame before showed, and that a nearer static surface hides in the rendered frame, reappears: it
    comes out before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the
@@ -27,13 +27,14 @@
 
 #define MOVER_REACH 8     /* px, in which movers are looked for ... */
 #define MOVER_REACH_SHARE 48    /* ... or this part of the target's width */
-#define ENTERING_MOST 2 /* times as many pixels as a mover shows inward from the border, that it goes on beyond it */
-#define BORDER_SHARE 4    /* part of the target's width: holes no wider may be those of movers that enter */
 
 /* The new frame, the depth of the rendered one and of the one before it, and the motion between these. */
 typedef struct {
     __global const float *source_depth, *depth_prev;
     __global const float2 *source_motion;
+    __global const half *source_color;
+    __global const uchar *dynamic_mask;
+    __global const float *target_position;
     __global const uchar *disoccluded, *is_dynamic;
     __global half *color;
     __global float *depth;
@@ -140,54 +141,48 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __local const Sid
     f.filled_by[dst] = BY_HIDDEN_PART;
 }
 
-INLINE int border_reach(__constant Frame *frame) { return frame->target_width / BORDER_SHARE; }
-
-/* Steps in direction d, of `most` within reach of the border, to the first pixel that the warp has shown; 0: none. */
-INLINE int steps_to_shown(const int most, const int dst_x, const int dst_y, const int2 d, __constant Frame *frame,
-                          const Images f) {
-    const int width = frame->target_width;
-    const int steps = min(most, steps_within(border_reach(frame), d, dst_x, dst_y, width, frame->target_height));
-    return first_other(dst_y * width + dst_x, d.y * width + d.x, steps, f.disoccluded, 1);
+/* The pixel of the rendered image that holds `place` or, outside of it, the one at its border beside. */
+INLINE int pixel_beside(const float2 place, const int width, const int height) {
+    return (int)fmin(fmax(place.y, 0.0f), (float)(height - 1)) * width
+           + (int)fmin(fmax(place.x, 0.0f), (float)(width - 1));
 }
 
-/* Whether a mover is t steps away in direction d, inward from the border, and shows at least half of as many pixels
-   from there on, and the hole's part of it came from outside of the rendered image. */
-INLINE bool is_of_entering(const int t, const int dst_x, const int dst_y, const int2 d, __constant Frame *frame,
-                           const Images f) {
-    const int x = dst_x + t * d.x, y = dst_y + t * d.y, width = frame->target_width, there = y * width + x;
-    if (t == 0 || !f.is_dynamic[there]) return false;
-    const int more = steps_within(t, d, x, y, width, frame->target_height);
-    int shown = 1;
-    for (int k = 1; k <= more; ++k) shown += f.is_dynamic[there + k * (d.y * width + d.x)] != 0;
-    if (ENTERING_MOST * shown < t) return false;
-    const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
-    const float along = d.x ? px_source.x : px_source.y;
-    const float end = (float)(d.x ? frame->source_width : frame->source_height);
-    return d.x + d.y > 0 ? along < 0.0f : along >= end;
-}
-
-/* Fills a hole at the border with the mover that enters there: the one straight inward or, in a corner, where the hole
-   ends sooner, inward from the other border. Returns whether there is one. */
-INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
-    const int width = frame->target_width, height = frame->target_height, dst = dst_y * width + dst_x;
-    const int from_x = min(dst_x, width - 1 - dst_x), from_y = min(dst_y, height - 1 - dst_y);
-    const int2 across = (int2)(2 * dst_x < width ? 1 : -1, 0), upright = (int2)(0, 2 * dst_y < height ? 1 : -1);
-    const int reach = border_reach(frame);
-    int2 d = from_x <= from_y ? across : upright;
-    if (!frame->entering || min(from_x, from_y) >= reach) return false;
-    int t = steps_to_shown(reach, dst_x, dst_y, d, frame, f);
-    if (!is_of_entering(t, dst_x, dst_y, d, frame, f)) {
-        if (max(from_x, from_y) >= reach) return false;
-        d = from_x <= from_y ? upright : across;
-        t = steps_to_shown(t ? t - 1 : reach, dst_x, dst_y, d, frame, f);
-        if (!is_of_entering(t, dst_x, dst_y, d, frame, f)) return false;
+/* Fills a hole at px with the mover at `beside`, the border of the rendered image, if it enters there: if the hole's
+   place, moving as that mover does, is beyond the border. Its color is the border's. Returns whether it does. */
+INLINE bool fill_from_border(const float2 beside, const float2 px, const int dst, __constant Frame *frame,
+                             const Images f) {
+    const int width = frame->source_width, height = frame->source_height;
+    float2 place = beside;
+    float z = 0.0f;
+    for (int k = 0; k < 2; ++k) { /* again from where along the border that came from */
+        const int src = pixel_beside(place, width, height);
+        const float3 there = position_of(f.target_position, src, width * height);
+        if (!f.dynamic_mask[src] || !(there.z > 0.0f)) return false;
+        place = pixel_center(src % width, src / width)
+                + (float2)(divide(px.x - there.x, frame->zoom.x), divide(px.y - there.y, frame->zoom.y));
+        z = there.z;
     }
-    const int x = dst_x + t * d.x, y = dst_y + t * d.y, there = y * width + x;
-    store_code(load_code(f.color, there, frame->code_offset), f.color, dst, frame->code_offset);
-    f.depth[dst] = f.depth[there];
-    f.motion[dst] = moves_along(x, y, dst_x, dst_y, frame, f) - pixel_center(dst_x, dst_y);
+    const int src = pixel_beside(place, width, height);
+    if (!f.dynamic_mask[src] || holds(width, height, place)) return false;
+    store_color(load_color(f.source_color, src), f.color, dst);
+    f.depth[dst] = z;
+    f.motion[dst] = place - px;
     f.filled_by[dst] = BY_HIDDEN_PART;
     return true;
+}
+
+/* Fills a hole with a mover that enters through the border close to it or, in a corner, through the other one. Returns
+   whether there is one. */
+INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
+    const int width = frame->target_width, height = frame->target_height, dst = dst_y * width + dst_x;
+    if (!frame->entering) return false;
+    const float2 px = pixel_center(dst_x, dst_y),
+                 place = (float2)(divide(px.x, frame->zoom.x), divide(px.y, frame->zoom.y));
+    const float2 across = (float2)(2 * dst_x < width ? 0.0f : (float)frame->source_width, place.y),
+                 upright = (float2)(place.x, 2 * dst_y < height ? 0.0f : (float)frame->source_height);
+    const bool is_across = min(dst_x, width - 1 - dst_x) <= min(dst_y, height - 1 - dst_y);
+    return fill_from_border(is_across ? across : upright, px, dst, frame, f)
+           || fill_from_border(is_across ? upright : across, px, dst, frame, f);
 }
 
 /* ---- parts that reappear ----------------------------------------------------------------------------------------- */
@@ -300,18 +295,18 @@ INLINE void offer_at_edges(const bool wanted, const int pass, __constant Frame *
    will be offered to, which nothing else here reads, and the list of where. */
 SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, const int reappear,
                                           __global const float *source_depth, __global const float2 *source_motion,
-                                          __global const float *depth_prev, __global const uint *open,
-                                          __global const uchar *disoccluded, __global const uchar *is_dynamic,
-                                          __global half *color, __global float *depth, __global float2 *motion,
-                                          __global uchar *filled_by, __global const uchar *dynamic_mask,
-                                          __global const uchar *links, __global const float *met_depth,
-                                          __global const float *target_position, __global Key *keys,
-                                          __global uint *winners, __global uint *offered) {
+                                          __global const half *source_color, __global const float *depth_prev,
+                                          __global const uint *open, __global const uchar *disoccluded,
+                                          __global const uchar *is_dynamic, __global half *color, __global float *depth,
+                                          __global float2 *motion, __global uchar *filled_by,
+                                          __global const uchar *dynamic_mask, __global const uchar *links,
+                                          __global const float *met_depth, __global const float *target_position,
+                                          __global Key *keys, __global uint *winners, __global uint *offered) {
     __local Side sides[TEAMS][DIRECTIONS];
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint found_count;
-    const Images images = {source_depth, depth_prev, source_motion, disoccluded, is_dynamic,
-                           color,        depth,      motion,        filled_by};
+    const Images images = {source_depth, depth_prev, source_motion, source_color, dynamic_mask, target_position,
+                           disoccluded,  is_dynamic, color,         depth,        motion,       filled_by};
     const Parts parts = {source_depth, depth_prev, met_depth, target_position, depth,   source_motion,
                          dynamic_mask, links,      keys,      winners,         offered, filled_by};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;

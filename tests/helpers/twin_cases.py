@@ -21,6 +21,7 @@ SCENE = Rects(
         Rect((1.5, -0.3, 5), (0.5, 0.5), velocity=(-3, 2, -12), frequency=2, tint=(4, 5, 90)),
         Rect((-1.2, -1.2, 8), (0.6, 0.6), velocity=(-26, 0, 0), frequency=1, tint=(0.2, 0.6, 0.1)),
         Rect((0.2, 0, 4), (0.05, 3), frequency=2, tint=(0.1, 0.1, 0.1)),
+        Rect((7.5, 3, 9), (2.5, 1.8), velocity=(-30, -8, 0), frequency=1, tint=(0.3, 0.3, 0.9)),  # enters
     ]
 )
 _DEFAULT = Options(shading_inputs=True, blocks=False)  # blocks: test_backward_blocks.py

@@ -39,6 +39,7 @@ class HiddenParts(NearestStage):
             {
                 "source_depth": "rendered.depth",
                 "source_motion": "rendered.motion",
+                "source_color": "rendered.color",
                 "depth_prev": "previous.depth",
                 "open": "warp.open",
                 "disoccluded": "frame.disoccluded",

@@ -32,17 +32,19 @@ def test_kernel_equals_its_twin(case):
     """Which pixels are filled, exactly; colors, depth and motion to a rounding of a division."""
     warped, reach = case.after("warp"), case.pipeline.stages["hidden_parts"].reach
     before = case.now.motion, case.past.depth, case.to_previous
-    warped |= twins.fill_hidden_parts(
-        warped, case.now.depth, case.zoom, case.to_source, reach, case.options.entering, before
-    )
     tracked = [case.read(*name) for name in (("history", "dynamic_mask"), ("connectivity", "links"))]
     tracked.append(case.read("history", "met_depth"))
     target_position = case.read("prediction", "target_position")
+    entering = (case.now.color, tracked[0], target_position) if case.options.entering else None
+    warped |= twins.fill_hidden_parts(warped, case.now.depth, case.zoom, case.to_source, reach, entering, before)
     warped |= twins.show_reappearing(warped, case.now, case.past, tracked, target_position, case.zoom, reach)
     left = case.after("hidden_parts")
     assert np.array_equal(left["filled_by"], warped["filled_by"])
     assert np.array_equal(left["dynamic"], warped["dynamic"])
-    assert (warped["filled_by"] == BY_HIDDEN_PART).any()
+    y, x = np.nonzero(warped["filled_by"] == BY_HIDDEN_PART)
+    place = np.stack([x, y], -1) + 0.5 + warped["motion"][y, x]
+    outside = ((place < 0) | (place >= case.now.depth.shape[::-1])).any(-1)
+    assert not outside.all() and outside.any() == case.options.entering
     if case.options.crack_closing and case.zoom.min() >= 1:  # in the other cases there are none
         assert (warped["filled_by"] == BY_REAPPEARING).any()
     for name in ("color", "depth", "motion"):
@@ -107,6 +109,34 @@ def test_mover_that_enters_goes_on_to_the_border(device, row):
         assert shown[:, 0].any() and (frame.depth < 7)[:, 0].any()  # it lies across the border
         wrong[entering] = int((shown & (np.abs(out.numpy("depth") - 6) > 0.1)).sum())
     assert shown.sum() > 300 and wrong[True] < 10 and wrong[False] > 40, wrong
+
+
+def rect_from(left, right, z, step, **look):
+    """A rectangle over all rows between two columns in the last of four rendered frames, `step` px in an interval."""
+    ends = camera(W, H).unproject(np.array([[left, H / 2], [right, H / 2], [0, 0], [step, 0]]), np.full(4, float(z)))
+    speed, middle = 30 * (ends[3] - ends[2])[0], ends[:2].mean(0)
+    return Rect(
+        (middle[0] - speed * 3 / 30, middle[1], z), ((ends[1] - ends[0])[0] / 2, 4), velocity=(speed, 0, 0), **look
+    )
+
+
+def test_mover_that_has_entered_ends_where_it_ends(device):
+    """The border that it has left, in the rendered frame, shows the wall: it has no parts outside."""
+    out, truth, frame = last_frame(device, [WALL, rect_from(3, 63, 6, 40, frequency=0.1)], count=4)
+    assert (frame.depth[:, 0] > 7).all() and (frame.depth[:, 5] < 7).all()
+    hole = (out.numpy("disoccluded") == 1) & (truth.depth > 7)
+    assert hole.sum() > 500 and not (hole & (out.numpy("filled_by") == BY_HIDDEN_PART)).any()
+
+
+def test_mover_that_enters_behind_another_goes_on_to_the_border(device):
+    """All that the rendered frame showed of it is hidden by a nearer mover that passes."""
+    far = rect_from(W - 12, W + 60, 6, -20, frequency=0.1, tint=(5, 0.1, 0.1))
+    near = rect_from(W - 60, W - 22, 4, 36, frequency=0.1)
+    out, truth, _ = last_frame(device, [WALL, far, near], count=4)
+    hole = (out.numpy("disoccluded") == 1) & (np.abs(truth.depth - 6) < 0.1)
+    assert hole.sum() > 100
+    np.testing.assert_allclose(out.numpy("depth")[hole], 6, rtol=1e-2)
+    assert (out.numpy("color")[hole, 0] > 2).all()
 
 
 def test_mover_off_the_bars_leaves_the_background_alone(device):

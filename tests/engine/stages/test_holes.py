@@ -52,7 +52,7 @@ def test_kernels_equal_their_twins(case):
 def test_large_holes(device, filling):
     """Wider than the reach: labels stay, and fills are the twin's."""
     width, height = 301, 70
-    pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False))
+    pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False, entering=False))
     past, frame = frames(width, height, count=2, spoil=False)
     for submitted in (past, frame):
         pipeline.submit(submitted)

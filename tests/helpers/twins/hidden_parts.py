@@ -11,9 +11,9 @@ FRAME = kernel_constants("frame.h")
 
 
 def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, before=None):
-    """Return color, depth, motion and filled_by of the warped frame with the hidden parts of movers, and the parts
-    of those that enter. `before`: motion from the rendered frame to the one before it, depth there, and the
-    reprojection."""
+    """Return color, depth, motion and filled_by of the warped frame with the hidden parts of movers, and of those that
+    enter, if `entering` is color, dynamic mask and predicted positions of the rendered frame. `before`: motion from
+    the rendered frame to the one before it, depth there, and the reprojection."""
     out = {name: warped[name].copy() for name in ("color", "depth", "motion", "filled_by")}
     depth, holes, dynamic = warped["depth"], warped["disoccluded"] > 0, warped["dynamic"] > 0
     height, width = source_depth.shape
@@ -52,32 +52,33 @@ def fill_hidden_parts(warped, source_depth, zoom, to_source, reach, entering, be
         z_prev = depth_prev[int(then[1]), int(then[0])]
         return HIDDEN.HIDES * z_prev > reproject(px[None], F(z)[None], to_previous)[0, 2]
 
-    def entered(y, x):
-        """Return the pixel of the mover that goes on to the border, or None."""
-        rows, columns = depth.shape
-        from_x, from_y, border = min(x, columns - 1 - x), min(y, rows - 1 - y), columns // HIDDEN.BORDER_SHARE
-        ways = [(from_x, (1 if 2 * x < columns else -1, 0)), (from_y, (0, 1 if 2 * y < rows else -1))]
-        most = border
-        for away, d in sorted(ways, key=lambda way: way[0]):
-            shown = [m for m in march(y, x, d, most, depth.shape) if not holes[m[1]]]
-            if away >= border:
+    def enters(place, px):
+        """Return (pixel, place, depth) of the mover at the border of the rendered image that enters there, or None."""
+        _, dynamic_mask, target_position = entering
+        for _ in range(2):
+            x, y = np.clip(place, 0, (width - 1, height - 1)).astype(int)
+            there = target_position[y, x]
+            if not dynamic_mask[y, x] or not there[2] > 0:
                 return None
-            if not shown:
-                continue
-            distance, q = shown[0]
-            ahead = [dynamic[m[1]] for m in march(*q, d, distance, depth.shape)]
-            if dynamic[q] and HIDDEN.ENTERING_MOST * (1 + sum(ahead)) >= distance:
-                px = moves_along(q, y, x)[0 if d[0] else 1]
-                if px < 0 if sum(d) > 0 else px >= (width if d[0] else height):
-                    return q
-            most = distance - 1
-        return None
+            place = np.array([x + 0.5, y + 0.5], F) + (px - there[:2]) / zoom
+        x, y = np.clip(place, 0, (width - 1, height - 1)).astype(int)
+        is_inside = 0 <= place[0] < width and 0 <= place[1] < height
+        return None if is_inside or not dynamic_mask[y, x] else ((y, x), place, there[2])
+
+    def entered(y, x):
+        """Return what `enters` the hole through the border close to it or, in a corner, through the other one."""
+        (rows, columns), px = depth.shape, np.array([x + 0.5, y + 0.5], F)
+        across = np.array([0 if 2 * x < columns else width, px[1] / zoom[1]], F)
+        upright = np.array([px[0] / zoom[0], 0 if 2 * y < rows else height], F)
+        ways = [(min(x, columns - 1 - x), across), (min(y, rows - 1 - y), upright)]
+        found = [enters(place, px) for _, place in sorted(ways, key=lambda way: way[0])]
+        return found[0] or found[1]
 
     for y, x in np.argwhere(holes):
         if entering and (q := entered(y, x)):
-            out["color"][y, x, :3] = decode_color(load_code(warped["color"][q]))
-            out["depth"][y, x], out["filled_by"][y, x] = depth[q], COMMON.BY_HIDDEN_PART
-            out["motion"][y, x] = moves_along(q, y, x) - np.array([x + 0.5, y + 0.5], F)
+            at, place, out["depth"][y, x] = q
+            out["color"][y, x, :3], out["filled_by"][y, x] = load_color(entering[0][at]), COMMON.BY_HIDDEN_PART
+            out["motion"][y, x] = place - np.array([x + 0.5, y + 0.5], F)
             continue
         met = [mover(y, x, d) for d in DIRECTIONS]
         found = [m for m in met if m]

@@ -22,7 +22,6 @@ from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step, Story
 from gffe_cl.engine.inspection.explain.refusals import (
     what_was_taken,
-    where_it_enters_from,
     where_it_reappears_from,
     why_no_background,
     why_no_mover,
@@ -202,9 +201,8 @@ def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, 
     depth, front = float(values[names.DEPTH][0]), None
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
-    elif source_px and (enters := where_it_enters_from(pipeline, shot, pixel)):
-        where = f"({source_px[0]:.1f}, {source_px[1]:.1f}), outside of rendered frame {shot.moment.k}"
-        return enters, f"Moving like that it was at {where}."
+    elif source_px:
+        return _entering_sentences(shot, source_px, pipeline.sizes.source)
     said = "A hidden part of a mover: the mean of the mover around it, with its motion."
     if number == BY_REAPPEARING:
         said = "A part of a mover that comes out: the color it had in the frame before, with the mover's motion."
@@ -217,6 +215,20 @@ def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, 
     if number == BY_REAPPEARING:
         told.append(where_it_reappears_from(pipeline, shot, source_px))
     return tuple(filter(None, told))
+
+
+def _entering_sentences(shot: Shot, source_px, size: tuple[int, int]) -> tuple[str, ...]:
+    frame = f"rendered frame {shot.moment.k}"
+    x, y = (int(min(max(at, 0), side - 1)) for at, side in zip(source_px, size, strict=True))
+    return (
+        Step(
+            f"A part of a mover that enters: no frame has shown it, so it repeats ({x}, {y}) at the border of {frame},"
+            " with the motion of the mover there.",
+            Link("filled by", names.FILLED_BY),
+            *_to_source(shot, (x + 0.5, y + 0.5)),
+        ),
+        f"Moving like that it was at ({source_px[0]:.1f}, {source_px[1]:.1f}), outside of {frame}.",
+    )
 
 
 def _hole_sentences(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px, values) -> tuple[str, ...]:

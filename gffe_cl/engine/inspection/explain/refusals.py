@@ -52,12 +52,6 @@ class _Block:
                 return at
         return None
 
-    def count(self, name: str, at: tuple[int, int], direction: tuple[int, int], steps: int) -> int:
-        """Return how many pixels in a direction, from `at` on and up to `steps` after it, are set in a mask."""
-        places = ((at[0] + t * direction[0], at[1] + t * direction[1]) for t in range(steps + 1))
-        held = ((x, y) for x, y in places if 0 <= x - self.x < self.width and 0 <= y - self.y < self.height)
-        return sum(bool(self.at(name, *place)[0]) for place in held)
-
 
 def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step | None:
     """Return why hidden parts of movers left the pixel; None where that stage does not run."""
@@ -317,35 +311,6 @@ def _behind(met: list[_Taken]) -> list[_Taken]:
 
     chosen = max(candidates, key=lambda one: sum(other.closeness for other in candidates if alike(one, other)))
     return [one for one in candidates if alike(one, chosen)]
-
-
-def where_it_enters_from(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step | None:
-    """Return the pixel of a mover that enters through the border that is repeated at `pixel`: the one straight inward
-    or, in a corner, inward from the other border. None if there is none."""
-    size = pipeline.sizes.target
-    wanted = (names.DYNAMIC, names.DISOCCLUDED, names.MOTION)
-    reach = int(size[0] // _MOVERS["BORDER_SHARE"])
-    block = _Block(pipeline, shot, pixel, 2 * reach, wanted)
-    ways = []
-    for axis, borders in enumerate((("left", "right"), ("top", "bottom"))):
-        far = 2 * pixel[axis] >= size[axis]
-        inward = -1 if far else 1
-        distance = size[axis] - 1 - pixel[axis] if far else pixel[axis]
-        ways.append((distance, axis, (inward, 0) if axis == 0 else (0, inward), borders[far]))
-    for (_, axis, direction, border), where in zip(sorted(ways), ("", " in a corner"), strict=True):
-        at = block.first(direction, lambda x, y: not block.at(names.DISOCCLUDED, x, y)[0], most=reach)
-        if at is None or not block.at(names.DYNAMIC, *at)[0]:
-            continue
-        steps = abs(at[axis] - pixel[axis])
-        if _MOVERS["ENTERING_MOST"] * block.count(names.DYNAMIC, at, direction, steps) < steps:
-            continue
-        along = _moves_along(shot, block, *at)[axis]
-        if along < 0 if sum(direction) > 0 else along >= pipeline.sizes.source[axis]:
-            said = f"A part of a mover that enters through the {border} border{where}: no frame has shown it, so"
-            repeated = f"{said} it repeats ({at[0]}, {at[1]}), with its motion."
-            filled = Link("filled by", names.FILLED_BY)
-            return Step(repeated, filled, Link("that mover", names.DYNAMIC, pixel=at))
-    return None
 
 
 def where_it_reappears_from(pipeline: Pipeline, shot: Shot, source_px: tuple[float, float] | None) -> Step | None:
