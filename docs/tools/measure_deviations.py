@@ -91,9 +91,6 @@ GAE: dict[str, Change] = {
     ),
     "edges are as sharp as earlier frames were": Change({"sharpness": False}),
     "no colors mixed with a silhouette that moves away": Change(constants={"warp.cl": {"MOVES_AWAY": "1e30f"}}),
-    "mixed colors go along with a nearer surface that hardly moves apart": Change(
-        edits={"warp.cl": {"together = (fabs": "together = (Ints)(0) & (fabs"}}
-    ),
     "the surface met at x' is checked": Change(
         constants={"history.cl": {"DEPTH_TOLERANCE": "1e30f", "SEARCH_RADIUS": "0"}}
     ),
