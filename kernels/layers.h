@@ -6,7 +6,7 @@
 #include "color_code.h"
 
 /* What set the thresholds: docs/deviations.md, "Silhouettes stay antialiased". */
-#define STEP 0.05f           /* relative step of inverse depth between two layers */
+#define STEP 0.02f           /* relative step of inverse depth between two layers */
 #define MOVES_APART 0.5f     /* px: layers that deviate less are resampled together */
 #define AT_EDGE 0.05f        /* weight of colors at edges, which may be mixed, too */
 

@@ -13,8 +13,7 @@
 
 /* What set the thresholds: docs/deviations.md, "Silhouettes stay antialiased". */
 #define SAME_LAYER 0.85f     /* least ratio of the depths of fragments of one layer */
-#define ALONG 3.0f           /* px by which fragments of a layer may deviate from its motion ... */
-#define ALIKE 1.0f           /* ... and those from which one color is interpolated */
+#define ALONG 0.7f           /* px by which fragments of a layer may deviate from its motion */
 #define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
 
 INLINE float3 not_negative(const float3 c) { return fmax(c, 0.0f); }
@@ -38,14 +37,13 @@ typedef struct {
 
 INLINE bool is_warped(const uchar filled_by) { return filled_by == BY_WARP || filled_by == BY_CRACK_CLOSING; }
 
-/* Whether fragment `src`, at (x, y), goes to depth z, and to `px`, by its place in the rendered image `px_source`,
-   within `most` px. */
+/* Whether the fragment at (x, y) goes to depth z, and to `px`, by its place in the rendered image, `px_source`. */
 INLINE bool goes_along(const Source s, const int x, const int y, const float3 there, const float2 px,
-                       const float2 px_source, const float z, const float most) {
+                       const float2 px_source, const float z) {
     const float2 center = pixel_center(x, y);
     const float ex = there.x - px.x - s.zoom.x * (center.x - px_source.x),
                 ey = there.y - px.y - s.zoom.y * (center.y - px_source.y);
-    return there.z * SAME_LAYER <= z && z * SAME_LAYER <= there.z && fmax(fabs(ex), fabs(ey)) < most;
+    return there.z * SAME_LAYER <= z && z * SAME_LAYER <= there.z && fmax(fabs(ex), fabs(ey)) < ALONG;
 }
 
 /* Whether a pixel's color includes that of a nearer layer; (x0, y0): the first of the four pixels around its place. */
@@ -67,7 +65,7 @@ INLINE float4 far_layer(const Source s, const Layers l, const float2 px, const f
         const int x = x0 + (k & 1), y = y0 + (k >> 1), src = y * s.width + x;
         if (!inside(x, y, s.width, s.height)) continue;
         const float3 there = position_of(s.target_position, src, s.width * s.height);
-        if (!goes_along(s, x, y, there, px, px_source, z, ALIKE)) continue;
+        if (!goes_along(s, x, y, there, px, px_source, z)) continue;
         sum += bilinear_weight(k, u, v)
                * (float4)(l.layer[src] == FAR ? unpack_color(l.behind[src]) : stored_code(s.codes, src), 1.0f);
     }
@@ -97,7 +95,7 @@ INLINE bool near_layer(const Source s, const Layers l, const float2 px, const fl
         const int x = x0 + (k & 1), y = y0 + (k >> 1), src = y * s.width + x;
         if (!inside(x, y, s.width, s.height)) continue;
         const float3 there = position_of(s.target_position, src, s.width * s.height);
-        const bool along = goes_along(s, x, y, there, px, px_source, z, ALONG);
+        const bool along = goes_along(s, x, y, there, px, px_source, z);
         if (!along && there.z > 0.0f && there.z < z) continue;
         const uchar layer = l.layer[src];
         const float weight = bilinear_weight(k, u, v);

@@ -178,24 +178,46 @@ INLINE Floats deviation(const Floats there_x, const Floats there_y, const Floats
     return ex > ey ? ex : ey;
 }
 
-/* A pixel beside a nearer surface that moves away has a mixture of both colors. Gives the step, in source pixels, to
-   the neighbor without it, if that one moves along; 0 for the others. `depth`: around the winners. */
+/* By how much the nearest so far of the surfaces beside deviates from the winners' motion. */
+INLINE void carry(const Ints beside, const Floats depth, const Floats x, const Floats y, Floats *nearest, Floats *off_x,
+                  Floats *off_y) {
+    const Ints nearer = beside & (depth < *nearest);
+    *nearest = nearer ? depth : *nearest;
+    *off_x = nearer ? x : *off_x;
+    *off_y = nearer ? y : *off_y;
+}
+
+/* A pixel beside a nearer surface has a mixture of both colors. Gives the step, in source pixels, to where its color
+   is: from a surface that moves away to the neighbor without it, if that one moves along; beside one that hardly does,
+   to where the mixture is if it goes along with the nearer surface. 0 for the others. `depth`: around the winners. */
 INLINE void step_off_silhouettes(const Fragments from, const Found won, const Places places, const Positions at,
-                                 const Cross depth, const WideFlow f, Ints *step_x, Ints *step_y) {
+                                 const Cross depth, const WideFlow f, Floats *step_x, Floats *step_y) {
     const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
     const Ints some = won.exist & !won.smooth, forth = (Ints)(1), back = (Ints)(-1), stay = (Ints)(0);
-    Ints left = some & (won.x > 0) & (depth.left < near),
-         right = some & (won.x < from.width - 1) & (depth.right < near);
-    Ints up = some & (won.y > 0) & (depth.up < near), down = some & (won.y < from.height - 1) & (depth.down < near);
-    *step_x = *step_y = stay;
+    const Ints left = some & (won.x > 0) & (depth.left < near),
+               right = some & (won.x < from.width - 1) & (depth.right < near);
+    const Ints up = some & (won.y > 0) & (depth.up < near),
+               down = some & (won.y < from.height - 1) & (depth.down < near);
+    *step_x = *step_y = none;
     if (!ANY(left | right | up | down)) return;
 
+    /* Back by what the nearest surface moves farther. */
+    Floats nearest = near, off_x = none, off_y = none;
+    carry(left, depth.left, at.x.left - at.x.here + f.xx, at.y.left - at.y.here + f.xy, &nearest, &off_x, &off_y);
+    carry(right, depth.right, at.x.right - at.x.here - f.xx, at.y.right - at.y.here - f.xy, &nearest, &off_x, &off_y);
+    carry(up, depth.up, at.x.up - at.x.here + f.yx, at.y.up - at.y.here + f.yy, &nearest, &off_x, &off_y);
+    carry(down, depth.down, at.x.down - at.x.here - f.yx, at.y.down - at.y.here - f.yy, &nearest, &off_x, &off_y);
+    const Ints together = (fabs(off_x) <= SAME_MOTION) & (fabs(off_y) <= SAME_MOTION);
+    *step_x = together ? wide_divide(f.yx * off_y - f.yy * off_x, f.det) : none;
+    *step_y = together ? wide_divide(f.xy * off_x - f.xx * off_y, f.det) : none;
+
     /* Away from the nearer surfaces that move away. */
-    left &= deviation(at.x.left, at.y.left, -one, none, at, f) > MOVES_AWAY;
-    right &= deviation(at.x.right, at.y.right, one, none, at, f) > MOVES_AWAY;
-    up &= deviation(at.x.up, at.y.up, none, -one, at, f) > MOVES_AWAY;
-    down &= deviation(at.x.down, at.y.down, none, one, at, f) > MOVES_AWAY;
-    const Ints x = (left ? forth : stay) + (right ? back : stay), y = (up ? forth : stay) + (down ? back : stay);
+    const Ints from_left = left & (deviation(at.x.left, at.y.left, -one, none, at, f) > MOVES_AWAY),
+               from_right = right & (deviation(at.x.right, at.y.right, one, none, at, f) > MOVES_AWAY);
+    const Ints from_up = up & (deviation(at.x.up, at.y.up, none, -one, at, f) > MOVES_AWAY),
+               from_down = down & (deviation(at.x.down, at.y.down, none, one, at, f) > MOVES_AWAY);
+    const Ints x = (from_left ? forth : stay) + (from_right ? back : stay),
+               y = (from_up ? forth : stay) + (from_down ? back : stay);
     if (!ANY((x != 0) | (y != 0))) return;
 
     /* If the neighbor there moves along. */
@@ -207,8 +229,8 @@ INLINE void step_off_silhouettes(const Fragments from, const Found won, const Pl
         & (deviation(floats_at(from.target_position, there), floats_at(from.target_position + from.plane, there),
                      to_floats(x), to_floats(y), at, f)
            <= SAME_MOTION);
-    *step_x = along ? x : stay;
-    *step_y = along ? y : stay;
+    *step_x += along ? to_floats(x) : none;
+    *step_y += along ? to_floats(y) : none;
 }
 
 /* Which taps around (ox, oy) from the winners move alike: bits 0 to 3 the inner ones, 4 to 7 the corners. */
@@ -258,7 +280,7 @@ INLINE void resolve_found(const Fragments from, const Rendered shown, const Foun
     load_cross(from.depth, from.width, places, &depth);
     WideFlow f;
     wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
-    Ints step_x, step_y;
+    Floats step_x, step_y;
     step_off_silhouettes(from, won, places, at, depth, f, &step_x, &step_y);
 
     /* The place within each fragment that lands on the pixel's center. */
@@ -267,7 +289,7 @@ INLINE void resolve_found(const Fragments from, const Rendered shown, const Foun
     const Floats dy = without_rounding(clamp(wide_divide(f.xx * ey - f.xy * ex, f.det), -1.0f, 1.0f));
 
     /* The taps around that place, or around the one beside to which it steps. */
-    const Floats from_x = dx + to_floats(step_x), from_y = dy + to_floats(step_y);
+    const Floats from_x = dx + step_x, from_y = dy + step_y;
     samples_at(src, from_x, from_y, from.width, samples);
     const Ints alike = won.smooth | ((from_x == 0.0f) & (from_y == 0.0f));
     if (!ALL(alike | !won.exist))

@@ -10,8 +10,8 @@ from twins.warp import codes_of
 
 F = np.float32
 CONSTANTS = constants("silhouettes.cl")
-STEP, MOVES_APART, SAME_LAYER, ALONG, ALIKE, AT_EDGE, SHARPER = (
-    F(CONSTANTS[name]) for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "ALIKE", "AT_EDGE", "SHARPER")
+STEP, MOVES_APART, SAME_LAYER, ALONG, AT_EDGE, SHARPER = (
+    F(CONSTANTS[name]) for name in ("STEP", "MOVES_APART", "SAME_LAYER", "ALONG", "AT_EDGE", "SHARPER")
 )
 FAR, NEAR, MARKED = CONSTANTS["FAR"], CONSTANTS["NEAR"], CONSTANTS["MARKED"]
 AROUND = [(dx, dy) for dy in (-1, 0, 1) for dx in (-1, 0, 1)]
@@ -134,7 +134,7 @@ class Softening:
                 color[y, x], coverage[y, x] = stored(rgb), 1
         return coverage, color
 
-    def taps(self, x, y, px_source, z, most):
+    def taps(self, x, y, px_source, z):
         """Yield (x, y, weight, whether it goes along, depth it goes to) of the four pixels around a place that lie
         inside."""
         first = np.floor(px_source - F(0.5))
@@ -145,13 +145,13 @@ class Softening:
                 there = self.target_position[j, i]
                 center = np.array([x, y], F) + F(0.5)
                 e = np.abs(there[:2] - center - self.zoom * (np.array([i, j], F) + F(0.5) - px_source))
-                along = there[2] * SAME_LAYER <= z and z * SAME_LAYER <= there[2] and e.max() < most
+                along = there[2] * SAME_LAYER <= z and z * SAME_LAYER <= there[2] and e.max() < ALONG
                 yield i, j, (u if k & 1 else F(1) - u) * (v if k >> 1 else F(1) - v), along, there[2]
 
     def far_layer(self, x, y, px_source, z):
         """Return colors around a place of the rendered frame, times their weights, and the weights."""
         total = np.zeros(4, F)
-        for i, j, weight, along, _ in self.taps(x, y, px_source, z, ALIKE):
+        for i, j, weight, along, _ in self.taps(x, y, px_source, z):
             if along:
                 own = self.behind[j, i, :3] if self.layer[j, i] == FAR else self.signed(i, j)
                 total += weight * np.append(own, F(1))
@@ -162,7 +162,7 @@ class Softening:
         if not self.warped[y, x]:
             return rgb, False
         px_source, z = np.array([x, y], F) + F(0.5) + self.shown["motion"][y, x], self.shown["depth"][y, x]
-        if not any(self.layer[j, i] == FAR for i, j, *_ in self.taps(x, y, px_source, z, ALIKE)):
+        if not any(self.layer[j, i] == FAR for i, j, *_ in self.taps(x, y, px_source, z)):
             return rgb, False
         total = self.far_layer(x, y, px_source, z)
         return (total[:3] / total[3], True) if total[3] > F(0.05) else (rgb, False)
@@ -184,7 +184,7 @@ class Softening:
 
     def near_layer(self, x, y, px_source, z):
         total, weights = np.zeros(4, F), F(0)
-        for i, j, weight, along, to_z in self.taps(x, y, px_source, z, ALONG):
+        for i, j, weight, along, to_z in self.taps(x, y, px_source, z):
             if not along and 0 < to_z < z:
                 continue
             weights += weight

@@ -328,6 +328,17 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom, sharpness
         return inside, np.where(there[..., 2] > 0, e, INF)
 
     own_depth = depth[sy, sx]
+    off, nearest = np.zeros_like(d), own_depth * WARP.NEARER
+    for dx, dy in ((-1, 0), (1, 0), (0, -1), (0, 1)):
+        inside, y, x = at(dx, dy)
+        with np.errstate(invalid="ignore"):
+            nearer = inside & (depth[y, x] < nearest)
+            there = target_position[y, x, :2] - here[..., :2] - ddx[..., :2] * F(dx) - ddy[..., :2] * F(dy)
+        off[nearer], nearest[nearer] = there[nearer], depth[y, x][nearer]
+    with np.errstate(invalid="ignore"):
+        carried = -_source_offset(ddx, ddy, off) / det[..., None]
+        carried[~(np.abs(off) <= WARP.SAME_MOTION).all(-1)] = 0
+
     step_x, step_y = np.zeros_like(sx), np.zeros_like(sy)
     for dx, dy in _STEPS:
         inside, e = deviation(dx, dy)
@@ -340,7 +351,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom, sharpness
     stays = ~(inside & (e <= WARP.SAME_MOTION))
     step_x[stays] = step_y[stays] = 0
 
-    p = d + np.stack([step_x, step_y], -1).astype(F)
+    p = d + (carried + np.stack([step_x, step_y], -1).astype(F))
     o = np.floor(p).astype(int)
     u, v = (p - o.astype(F))[..., 0], (p - o.astype(F))[..., 1]
     rgb, codes = load_color(color), codes_of(color).astype(F)
