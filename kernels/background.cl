@@ -1,8 +1,8 @@
 /* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection'). Level l has
    ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its color, its view
    depth and its pixel position (not the texel's center) in the camera of the frame for which the level was
-   collected. What is SHOWN is not stored: it is that frame's own pixel. A single level remembers what movers hide, two
-   or more, as in the paper, what static surfaces hide, too. Stored positions are two 16-bit offsets from the texel's
+   collected. What is SHOWN is not stored: it is that frame's own pixel. Level 0 remembers what movers hide, the next
+   one what static surfaces hide. Stored positions are two 16-bit offsets from the texel's
    center, x in the lower half, in PX_UNITS of the texel's side: that holds what TOUCHES it. Stored colors are RGB9E5.
    Fragments of B'_l that only meet the surface that they are of are skipped LANES at once. */
 
@@ -22,19 +22,10 @@
 
 #define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
-/* A pixel position from the center of a texel, packed, ... */
+/* A pixel position from the center of a texel, packed. */
 INLINE int pack_px(const float2 offset, const int level) {
     const float2 units = clamp(rint(offset * (PX_UNITS / (float)(1 << level))), -PX_UNITS, PX_UNITS - 1.0f);
     return ((int)units.x & 0xFFFF) | ((int)units.y << 16);
-}
-
-/* ... and LANES of them unpacked. */
-INLINE Floats unpack_x(const Ints packed, const int level) {
-    return to_floats((packed << 16) >> 16) * ((float)(1 << level) / PX_UNITS);
-}
-
-INLINE Floats unpack_y(const Ints packed, const int level) {
-    return to_floats(packed >> 16) * ((float)(1 << level) / PX_UNITS);
 }
 
 /* Texels of a level, or of all, to read, and the frame whose pixels are those that are SHOWN. */
@@ -98,23 +89,24 @@ INLINE bool may_be_at(const int src, const float z, const int source_width, __gl
 #define BEHIND (1.0f - 0.95f * SAME_LEVEL)  /* times the depth of a fragment: nearer surfaces hide it */
 #define TOUCHES 0.499f       /* of a texel's side: reach of a fragment to neighboring texels */
 
-/* The current frame, the contents of a level of it (`taken`, and their depths), and the receivers of fragments. */
+/* The current frame, and the receivers of the fragments of a level, among the texels of all levels. */
 typedef struct {
     int width, height, level, last_level, pass;
+    int first, next; /* texels of this level and of the one below */
     __global const float *depth;
-    __global const uchar *dynamic_mask, *links, *taken;
-    __global const float *level_depth;
-    __global Key *fill_keys, *push_keys;
-    __global uint *fill_winners, *push_winners;
+    __global const uchar *dynamic_mask, *links;
+    __global uchar *levels_state; /* before this level is filled */
+    __global Key *keys;
+    __global uint *winners;
 } Collection;
 
 INLINE bool lands(const float3 now, const int width, const int height) {
     return now.z > 0.0f && holds(width, height, now.xy);
 }
 
-/* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1: fill_keys), or
-   to the next level if it lies behind the fragment in B_level (case 2: push_keys). And to the empty texels that it
-   touches, where every fragment of their own goes before:
+/* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1), or to the next
+   level if it lies behind the fragment in B_level (case 2): what is pushed there takes its texel before that level's
+   own fragments come. And to the empty texels that it touches, where every fragment of their own goes before:
    without that, fragments that move by less than half a pixel per frame would never get past the border of the
    visible area of the current frame, and fragments that met in one texel would leave a gap beside it. */
 INLINE void offer_fragment(const float3 now, const uint texel, const Collection to) {
@@ -122,21 +114,24 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
     const int level = to.level, level_width = level_side(to.width, level);
     const float z = now.z;
     const int src_x = (int)now.x, src_y = (int)now.y;
-    const int own = (src_y >> level) * level_width + (src_x >> level);
+    const int own = to.first + (src_y >> level) * level_width + (src_x >> level);
     float margin;
     bool behind;
     int filled = -1;
     if (may_be_at(src_y * to.width + src_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin, &behind)
         && (level == 0 || behind)) {  /* else it is seen again: B_0 has it fresh */
-        if (to.taken[own] == EMPTY) {
-            offer(to.pass, to.fill_keys, to.fill_winners, own, z, texel);
+        if (to.levels_state[own] == EMPTY) {
+            offer(to.pass, to.keys, to.winners, own, z, texel);
             filled = own;
         } else if (level < to.last_level) {
-            const float z_level = to.level_depth[own];
+            const float z_level = level == 0 ? to.depth[own] : as_float(depth_bits_of(to.keys, own));
             const float level_margin = level == 0 ? margin : 2.0f * SAME_LEVEL * z_level;
-            if (isinf(z) ? !isinf(z_level) : z > z_level + level_margin)
-                offer(to.pass, to.push_keys, to.push_winners,
-                      (src_y >> (level + 1)) * level_side(to.width, level + 1) + (src_x >> (level + 1)), z, texel);
+            if (isinf(z) ? !isinf(z_level) : z > z_level + level_margin) {
+                const int below =
+                    to.next + (src_y >> (level + 1)) * level_side(to.width, level + 1) + (src_x >> (level + 1));
+                offer(to.pass, to.keys, to.winners, below, z, texel);
+                to.levels_state[below] = REMEMBERED;
+            }
         }
     }
     const float reach = TOUCHES * (float)(1 << level);
@@ -144,109 +139,98 @@ INLINE void offer_fragment(const float3 now, const uint texel, const Collection 
         const float px_x = now.x + ((k & 1) ? reach : -reach), px_y = now.y + ((k >> 1) ? reach : -reach);
         const int corner_x = (int)px_x, corner_y = (int)px_y;
         if (px_x < 0.0f || px_y < 0.0f || corner_x >= to.width || corner_y >= to.height) continue;
-        const int cell = (corner_y >> level) * level_width + (corner_x >> level);
+        const int cell = to.first + (corner_y >> level) * level_width + (corner_x >> level);
         const uint bits = as_uint(z) | GIVES_WAY;
-        if (cell == filled || (level == 0 && cell == own) || to.taken[cell] != EMPTY
-            || !may_win(to.pass, to.fill_keys, cell, bits))
+        if (cell == filled || (level == 0 && cell == own) || to.levels_state[cell] != EMPTY
+            || !may_win(to.pass, to.keys, cell, bits))
             continue;
         if (may_be_at(corner_y * to.width + corner_x, z, to.width, to.depth, to.dynamic_mask, to.links, &margin,
                       &behind)
             && (behind || level == 0))
-            offer_bits(to.pass, to.fill_keys, to.fill_winners, cell, bits, texel);
+            offer_bits(to.pass, to.keys, to.winners, cell, bits, texel);
     }
 }
 
-/* Whether nothing can be offered of LANES fragments, which lie roughly here now: they land in one row, almost side
-   by side, and three rows of texels, which hold all that they touch, are taken, by what is not nearer than their own
-   surface, if there is a next level. */
+/* Whether nothing can be offered of LANES fragments of B'_0, which lie roughly here now: they land in one row, almost
+   side by side, and three rows of texels, which hold all that they touch, are taken, by what is not nearer than their
+   own surface, if there is a next level. */
 INLINE bool only_meet_surfaces(const Wide3 now, const Collection to) {
-    const int row = level_side(to.width, to.level), size = row * level_side(to.height, to.level), edge = RUN / 4;
-    const float scale = 1.0f / (float)(1 << to.level), error = ROUGHLY * (float)max(to.width, to.height);
+    const int row = to.width, size = row * to.height, edge = RUN / 4;
+    const float error = ROUGHLY * (float)max(to.width, to.height);
     const Ints in = (now.z > 0.0f) & (now.x > 1.0f) & (now.y > 1.0f) & (now.x < (float)(to.width - 1))
                     & (now.y < (float)(to.height - 1));
     if (!ALL(in)) return false;
-    const Floats x = now.x * scale, y = now.y * scale;
-    const Ints cell_x = to_ints(x), cell_y = to_ints(y);
-    const Ints sure = fmax(fabs(x - to_floats(cell_x) - 0.5f), fabs(y - to_floats(cell_y) - 0.5f)) < 0.5f - error;
+    const Ints cell_x = to_ints(now.x), cell_y = to_ints(now.y);
+    const Ints sure =
+        fmax(fabs(now.x - to_floats(cell_x) - 0.5f), fabs(now.y - to_floats(cell_y) - 0.5f)) < 0.5f - error;
     const int first_x = FIRST_LANE(cell_x), cell = FIRST_LANE(cell_y), first = cell * row + first_x;
     if (first < row + edge || first + row + RUN > size
         || !ALL(sure & (cell_y == cell) & (cell_x > first_x - edge) & (cell_x < first_x + RUN - edge - 1)))
         return false;
-    __global const uchar *here = to.taken + first - edge;
+    __global const uchar *here = to.levels_state + first - edge;
     if (run_has(here, EMPTY) || run_has(here - row, EMPTY) || run_has(here + row, EMPTY)) return false;
-    if (to.level == to.last_level) return true;
+    if (to.last_level == 0) return true;
     const bool is_run = ALL(cell_x == first_x + LANE_NUMBERS);
-    const Floats z =
-        is_run ? load_floats(0, to.level_depth + first) : gather_floats(to.level_depth, cell_x + (first - first_x));
+    const Floats z = is_run ? load_floats(0, to.depth + first) : gather_floats(to.depth, cell_x + (first - first_x));
     return !ANY(now.z * BEHIND > z);
 }
 
-/* Whether offer_fragment may offer any: not one whose texels are all taken, by what is not nearer than its own
+/* Whether offer_fragment may offer any of B'_0: not one whose texels are all taken, by what is not nearer than its own
    surface if there is a next level. Those are its own and, at most, three on the nearer sides of it. */
 INLINE Ints may_be_offered(const Wide3 now, const Collection to) {
-    const int level = to.level, row = level_side(to.width, level), rows = level_side(to.height, level);
+    const int row = to.width;
     const Ints in =
         (now.z > 0.0f) & (now.x >= 0.0f) & (now.y >= 0.0f) & (now.x < (float)to.width) & (now.y < (float)to.height);
-    const Floats scale = (Floats)(1.0f / (float)(1 << level));
-    const Floats x = in ? now.x * scale : (Floats)(0.0f), y = in ? now.y * scale : (Floats)(0.0f);
+    const Floats x = in ? now.x : (Floats)(0.0f), y = in ? now.y : (Floats)(0.0f);
     const Ints cell_x = to_ints(x), cell_y = to_ints(y);
     const Ints left = x - to_floats(cell_x) < 0.5f, up = y - to_floats(cell_y) < 0.5f;
-    const Floats most = now.z * BEHIND;
-    const bool last = level == to.last_level;
     const Ints beside = clamp(cell_x + (left ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(row - 1));
-    const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(rows - 1)) * row,
+    const Ints next = clamp(cell_y + (up ? (Ints)(-1) : (Ints)(1)), (Ints)(0), (Ints)(to.height - 1)) * row,
                own = cell_y * row;
-    const Bytes least_taken = min(min(gather_bytes(to.taken, own + cell_x), gather_bytes(to.taken, own + beside)),
-                                  min(gather_bytes(to.taken, next + cell_x), gather_bytes(to.taken, next + beside)));
+    __global const uchar *state = to.levels_state;
+    const Bytes least = min(min(gather_bytes(state, own + cell_x), gather_bytes(state, own + beside)),
+                            min(gather_bytes(state, next + cell_x), gather_bytes(state, next + beside)));
     return in
-           & ((to_ints(least_taken) == EMPTY)
-              | (last ? (Ints)(0) : most > gather_floats(to.level_depth, own + cell_x)));
+           & ((to_ints(least) == EMPTY)
+              | (to.last_level == 0 ? (Ints)(0) : now.z * BEHIND > gather_floats(to.depth, own + cell_x)));
 }
 
-/* Offers the fragments of B'_level. */
-WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int level, const int pass,
-                                 __global const float *depth, __global const uchar *dynamic_mask,
-                                 __global const uchar *links, __global const int *last_stir,
-                                 __global const float *frame_depth, __global const float *old_depth,
-                                 __global const int *old_px, __global const uchar *old_state,
-                                 __global const uchar *taken, __global const float *level_depth,
-                                 __global Key *fill_keys, __global uint *fill_winners, __global Key *push_keys,
-                                 __global uint *push_winners) {
-    const int source_width = frame->source_width, source_height = frame->source_height;
-    const int last_level = frame->levels - 1;
+/* Offers the fragments of B'_0. */
+WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int pass, __global const float *depth,
+                                 __global const uchar *dynamic_mask, __global const uchar *links,
+                                 __global const int *last_stir, __global const float *frame_depth,
+                                 __global const float *old_depth, __global const int *old_px,
+                                 __global const uchar *old_state, __global uchar *levels_state, __global Key *keys,
+                                 __global uint *winners) {
+    const int width = frame->source_width, height = frame->source_height;
     const Reprojection to_current = frame->from_previous;
     const int texel_x = get_global_id(0) * LANES, texel_y = get_global_id(1);
-    const int level_width = level_side(source_width, level), level_height = level_side(source_height, level);
-    if (texel_x >= level_width || texel_y >= level_height) return;
-    if (collects_nothing(block_of(texel_x, texel_y, source_width), frame, last_stir)) return;
-    const int texel = texel_y * level_width + texel_x;
-    const Collection to = {.width = source_width,
-                           .height = source_height,
-                           .level = level,
-                           .last_level = last_level,
+    if (texel_x >= width || texel_y >= height) return;
+    if (collects_nothing(block_of(texel_x, texel_y, width), frame, last_stir)) return;
+    const int texel = texel_y * width + texel_x;
+    const Collection to = {.width = width,
+                           .height = height,
+                           .last_level = frame->levels - 1,
                            .pass = pass,
+                           .next = frame->level_starts.x,
                            .depth = depth,
                            .dynamic_mask = dynamic_mask,
                            .links = links,
-                           .taken = taken,
-                           .level_depth = level_depth,
-                           .fill_keys = fill_keys,
-                           .push_keys = push_keys,
-                           .fill_winners = fill_winners,
-                           .push_winners = push_winners};
+                           .levels_state = levels_state,
+                           .keys = keys,
+                           .winners = winners};
 
     /* LANES texels at once: what the frame before shows there, or what they remember. */
-    const int count = level_width - texel_x;
+    const int count = width - texel_x;
     const Ints state = to_ints(load_some_bytes(count, old_state + texel));
     const Ints remembered = state == REMEMBERED, held = ((state == SHOWN) | remembered) & (LANE_NUMBERS < count);
     if (!ANY(held)) return;
-    const float side = (float)(1 << level);
-    Floats px_x = row_centers(texel_x) * side, px_y = (Floats)(((float)texel_y + 0.5f) * side);
+    Floats px_x = row_centers(texel_x), px_y = (Floats)((float)texel_y + 0.5f);
     Floats z = load_some_floats(count, frame_depth + texel);
     if (ANY(remembered)) {
         const Ints packed = remembered ? load_some_ints(count, old_px + texel) : (Ints)(0);
-        px_x += unpack_x(packed, level);
-        px_y += unpack_y(packed, level);
+        px_x += to_floats((packed << 16) >> 16) * (1.0f / PX_UNITS);
+        px_y += to_floats(packed >> 16) * (1.0f / PX_UNITS);
         z = remembered ? load_some_floats(count, old_depth + texel) : z;
     }
 
@@ -264,66 +248,102 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int lev
     }
 }
 
+/* The levels lie one after another: `starts` are the first texels of levels 1 to 3, and the end. */
+INLINE int level_of(const int texel, const int4 starts) {
+    return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
+}
+
+INLINE int start_of(const int level, const int4 starts) {
+    return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : level == 3 ? starts.z : starts.w;
+}
+
+INLINE int size_of(const int level, __constant Frame *frame) {
+    return level_side(frame->source_width, level) * level_side(frame->source_height, level);
+}
+
+/* Offers the fragments of B'_level, which is not B'_0: few. */
+SCAN_FLAT __kernel void scatter_hidden(__constant Frame *restrict frame, const int level, const int pass,
+                                       __global const float *depth, __global const uchar *dynamic_mask,
+                                       __global const uchar *links, __global const float *old_depth,
+                                       __global const int *old_px, __global const uchar *old_state,
+                                       __global uchar *levels_state, __global Key *keys, __global uint *winners) {
+    __local ushort found[SCAN_GROUP * SCAN_BYTES];
+    __local uint count;
+    const int start = start_of(level, frame->level_starts), level_width = level_side(frame->source_width, level);
+    const Texels old = {.px = old_px, .level = level};
+    const Collection to = {.width = frame->source_width,
+                           .height = frame->source_height,
+                           .level = level,
+                           .last_level = frame->levels - 1,
+                           .pass = pass,
+                           .first = start,
+                           .next = start_of(level + 1, frame->level_starts),
+                           .depth = depth,
+                           .dynamic_mask = dynamic_mask,
+                           .links = links,
+                           .levels_state = levels_state,
+                           .keys = keys,
+                           .winners = winners};
+    const int first = scan_for(REMEMBERED, old_state + start, size_of(level, frame), found, &count);
+    for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
+        const int in_level = first + found[i], texel = start + in_level;
+        const float2 px = px_of(old, texel, in_level % level_width, in_level / level_width, false);
+        offer_fragment(reproject(px, old_depth[texel], frame->from_previous), (uint)texel | FROM_MEMORY, to);
+    }
+}
+
 /* Texels to write. */
 typedef struct {
     __global uint *color;
     __global float *depth;
     __global int *px;
     __global uchar *state;
-    int level, width;
-} Level;
+} Levels;
 
-/* Puts the winner of the texel at (x, y) into it, a fragment of an old level, and empties its keys. */
-INLINE void settle(const int x, const int y, __global Key *keys, __global uint *winners, const Texels old,
-                   const Reprojection to_current, const Level level) {
-    const int texel = y * level.width + x;
-    const uint winner = winner_of(keys, winners, texel);
-    level.state[texel] = winner == NOBODY ? EMPTY : REMEMBERED;
-    if (winner == NOBODY) return;
+/* Puts the winner of a texel into it, a fragment of the old levels, and empties its keys. `old`: of all levels. */
+INLINE void settle(const int texel, const uint winner, Texels old, __constant Frame *frame, const Levels levels) {
+    const int4 starts = frame->level_starts;
+    const int level = level_of(texel, starts), in_level = texel - start_of(level, starts),
+              level_width = level_side(frame->source_width, level);
     const bool shown = !(winner & FROM_MEMORY); /* else stored */
     const int from = (int)(winner & ~FROM_MEMORY);
-    const float2 px = px_of(old, from, from % old.width, from / old.width, shown);
-    const float3 now = reproject(px, depth_of(old, from, shown), to_current);
-    level.color[texel] = shown ? pack_color(load_color(old.frame_color, from)) : old.color[from];
-    level.depth[texel] = now.z;
-    level.px[texel] = pack_px(now.xy - pixel_center(x, y) * (float)(1 << level.level), level.level);
-    forget(keys, winners, texel);
+    old.level = level_of(from, starts);
+    const int old_width = level_side(frame->source_width, old.level), in_old = from - start_of(old.level, starts);
+    const float2 px = px_of(old, from, in_old % old_width, in_old / old_width, shown);
+    const float3 now = reproject(px, depth_of(old, from, shown), frame->from_previous);
+    const float2 center = pixel_center(in_level % level_width, in_level / level_width) * (float)(1 << level);
+    levels.color[texel] = shown ? pack_color(load_color(old.frame_color, from)) : old.color[from];
+    levels.depth[texel] = now.z;
+    levels.px[texel] = pack_px(now.xy - center, level);
+    levels.state[texel] = REMEMBERED;
 }
 
-/* Completes a level: its EMPTY texels, from the old one of the same level; or begins it, with the fragments that were
-   pushed down from the one above. After a reset nothing is collected: all are EMPTY. */
-SCAN_FLAT __kernel void settle_level(__constant Frame *restrict frame, const int level, const int from_level,
-                                     __global Key *keys, __global uint *winners, __global const half *frame_color,
-                                     __global const float *frame_depth, __global const uint *old_color,
-                                     __global const float *old_depth, __global const int *old_px,
-                                     __global const uchar *old_state, __global uint *level_color,
-                                     __global float *level_depth, __global int *level_px, __global uchar *level_state) {
+/* Completes all levels: their texels that fragments were offered to; those of level 0 are EMPTY ones. After a reset
+   nothing is collected: all are EMPTY. */
+SCAN_FLAT __kernel void settle_levels(__constant Frame *restrict frame, __global const Key *keys,
+                                      __global const uint *winners, __global const half *frame_color,
+                                      __global const float *frame_depth, __global const uint *old_color,
+                                      __global const float *old_depth, __global const int *old_px,
+                                      __global uint *levels_color, __global float *levels_depth,
+                                      __global int *levels_px, __global uchar *levels_state) {
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint count;
-    const int level_width = level_side(frame->source_width, level);
-    const int texels = level_width * level_side(frame->source_height, level);
-    const Texels old = {.color = old_color,
-                        .frame_color = frame_color,
-                        .depth = old_depth,
-                        .frame_depth = frame_depth,
-                        .px = old_px,
-                        .state = old_state,
-                        .level = from_level,
-                        .width = level_side(frame->source_width, from_level)};
-    const Level own = {.color = level_color,
-                       .depth = level_depth,
-                       .px = level_px,
-                       .state = level_state,
-                       .level = level,
-                       .width = level_width};
-    const int at = get_global_id(0) * SCAN_BYTES, end = min(at + SCAN_BYTES, texels);
-    const bool begins = from_level != level || !frame->has_previous;
-    for (int texel = at; begins && texel < end; ++texel) level_state[texel] = EMPTY;
+    const int4 starts = frame->level_starts;
+    const Texels old = {
+        .color = old_color, .frame_color = frame_color, .depth = old_depth, .frame_depth = frame_depth, .px = old_px};
+    const Levels levels = {levels_color, levels_depth, levels_px, levels_state};
+    const int at = get_global_id(0) * SCAN_BYTES, level = level_of(at, starts);
+    const int end = min(at + SCAN_BYTES, start_of(level, starts) + size_of(level, frame));
+    for (int texel = at; !frame->has_previous && texel < end; ++texel) levels_state[texel] = EMPTY;
     if (!frame->has_previous) return;
-    const int first = scan_for(EMPTY, level_state, texels, found, &count);
+    const int first = scan_for(EMPTY, levels_state, size_of(0, frame), found, &count);
+    for (int texel = level == 0 ? end : at; texel < end; ++texel)
+        if (winner_of(keys, winners, texel) != NOBODY) found[atomic_inc(&count)] = (ushort)(texel - first);
+    barrier(CLK_LOCAL_MEM_FENCE);
     for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
         const int texel = first + found[i];
-        settle(texel % level_width, texel / level_width, keys, winners, old, frame->from_previous, own);
+        const uint winner = winner_of(keys, winners, texel);
+        if (winner != NOBODY) settle(texel, winner, old, frame, levels);
     }
 }
 
@@ -332,15 +352,6 @@ SCAN_FLAT __kernel void settle_level(__constant Frame *restrict frame, const int
 #define TEXEL_REACH 16.0f              /* px: the most that a texel covers to each side */
 /* TEXEL_HALF: of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
 #define TEXEL_HALF 1.25f
-
-/* The levels lie one after another: `starts` are the first texels of levels 1 to 3. */
-INLINE int level_of(const int texel, const int4 starts) {
-    return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
-}
-
-INLINE int start_of(const int level, const int4 starts) {
-    return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : starts.z;
-}
 
 /* The new frame as the warp leaves it, and whom fragments are offered to. */
 typedef struct {
@@ -517,7 +528,7 @@ typedef struct {
     __global uchar *filled_by;
 } NewFrame;
 
-/* What set the thresholds: docs/deviations.md, "A single level of background". */
+/* What set the thresholds: docs/deviations.md, "Two levels of background". */
 #define SUPPORT_AT 2        /* px from a pixel to those that must show the same surface ... */
 #define SUPPORT_LEAST 3     /* of four, where what a static surface hid would show */
 #define SUPPORT_ALIKE 0.1f  /* relative difference of depth within one surface */

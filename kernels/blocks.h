@@ -35,14 +35,14 @@ INLINE bool stays_put(const int block, __constant Frame *frame, __global const i
     return frame->stays && calm_frames(block, frame, last_stir) > 0;
 }
 
-/* Whether all of what the frame before showed there, and this one, is the same: no fragment comes into its background,
-   of a single level. */
+/* Whether all of what the frame before showed there, and this one, is the same: no fragment comes into its background
+   or is hidden. */
 INLINE bool collects_nothing(const int block, __constant Frame *frame, __global const int *last_stir) {
-    return frame->rests && frame->levels == 1 && calm_frames(block, frame, last_stir) > 1;
+    return frame->rests && calm_frames(block, frame, last_stir) > 1;
 }
 
 /* Whether its links, and the state of its texels, are what they were in the last two frames, in which they were found
    alike: the memory of both is that of the frame before the last. */
 INLINE bool links_are_known(const int block, __constant Frame *frame, __global const int *last_stir) {
-    return frame->rests >= 3 && !(frame->collects && frame->levels > 1) && calm_frames(block, frame, last_stir) > 2;
+    return frame->rests >= 3 && calm_frames(block, frame, last_stir) > 2;
 }

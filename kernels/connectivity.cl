@@ -54,22 +54,18 @@ INLINE Ints links_of(const Span p, __global const float *depth, __global const u
     return links;
 }
 
-/* The background's state before collection: the state of level 0, the receivers of fragments that may fill it, and
-   those of fragments pushed to level 1. */
+/* The background before collection: the state of all levels, and the receivers of fragments offered to them. */
 typedef struct {
-    __global uchar *state;
-    __global Key *fill_keys;
-    __global uint *fill_winners;
-    __global Key *push_keys;
-    __global uint *push_winners;
+    __global uchar *levels_state;
+    __global Key *keys;
+    __global uint *winners;
 } Collecting;
 
 /* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`:
-   texels are SHOWN where depth is valid and none of 3x3 pixels is dynamic or nearer. Of a `single` level, which
-   remembers what movers hide, those are an EDGE where one is nearer, but none is dynamic. The others are EMPTY, and no
-   fragment is offered to them yet, nor to level 1. */
+   texels are SHOWN where depth is valid and none of 3x3 pixels is dynamic or nearer, and an EDGE where one is nearer,
+   but none is dynamic. The others are EMPTY, and no fragment is offered to them yet. */
 INLINE void find(const Span p, __global const float *depth, __global const uchar *dynamic_mask, const int collect,
-                 const bool single, __global uchar *links, const Collecting to) {
+                 __global uchar *links, const Collecting to) {
     const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);
     store_some_bytes(to_bytes(links_of(p, depth, dynamic_mask)), count, links + i);
     if (!collect) return;
@@ -81,30 +77,33 @@ INLINE void find(const Span p, __global const float *depth, __global const uchar
         mixed |= depth_beside(p, depth, k % 3 - 1, k / 3 - 1) < z * MIXES_IN;
     }
     const Ints settled = (z > 0.0f) & (moving == 0), clean = settled & !mixed;
-    const Ints closed = single ? settled : clean;
-    store_some_bytes(to_bytes(clean ? (Ints)(SHOWN) : closed ? (Ints)(EDGE) : (Ints)(EMPTY)), count, to.state + i);
-    if (!single && !((p.x | p.y) & 1)) {
-        const int level_width = (p.width + 1) / 2, first = p.y / 2 * level_width + p.x / 2;
-        for (int k = 0; k < (count + 1) / 2; ++k) forget(to.push_keys, to.push_winners, first + k);
-    }
-    if (ALL(closed)) return;
-    for (int k = 0; k < count; ++k) forget(to.fill_keys, to.fill_winners, i + k);
+    const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
+    store_some_bytes(to_bytes(state), count, to.levels_state + i);
+    if (ALL(settled)) return;
+    for (int k = 0; k < count; ++k) forget(to.keys, to.winners, i + k);
 }
 
 WIDE __kernel void find_links(__constant Frame *restrict frame, __global const float *depth,
                               __global const uchar *dynamic_mask, __global const int *last_stir, __global uchar *links,
-                              __global uchar *state, __global Key *fill_keys, __global uint *fill_winners,
-                              __global Key *push_keys, __global uint *push_winners) {
+                              __global uchar *levels_state, __global Key *keys, __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height;
     const int collect = frame->collects && frame->has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
-    const Collecting to = {state, fill_keys, fill_winners, push_keys, push_winners};
-    if (x >= width || y >= height || links_are_known(block_of(x, y, width), frame, last_stir)) return;
+    const Collecting to = {levels_state, keys, winners};
+    if (x >= width || y >= height) return;
+    if (collect && frame->levels > 1 && !((x | y) & 1)) { /* level 1 is EMPTY */
+        const int first = frame->level_starts.x + y / 2 * ((width + 1) / 2) + x / 2;
+        for (int k = 0; k < (min(LANES, width - x) + 1) / 2; ++k) {
+            levels_state[first + k] = EMPTY;
+            forget(keys, winners, first + k);
+        }
+    }
+    if (links_are_known(block_of(x, y, width), frame, last_stir)) return;
     Span p = {x, y, width, height, false};
     if (x >= REACH && x + LANES + REACH <= width && y >= REACH && y + REACH < height) {
         p.inner = true;
-        find(p, depth, dynamic_mask, collect, frame->levels == 1, links, to);
+        find(p, depth, dynamic_mask, collect, links, to);
     } else {
-        find(p, depth, dynamic_mask, collect, frame->levels == 1, links, to);
+        find(p, depth, dynamic_mask, collect, links, to);
     }
 }

@@ -88,5 +88,5 @@ INLINE int level_side(const int side, const int level) { return (side + (1 << le
 /* States of the texels of background levels. */
 #define EMPTY 0
 #define SHOWN 1 /* of level 0: a static fragment of the frame itself: the warp projects it */
-#define EDGE 2 /* of a single level: static, beside a nearer static surface: neither SHOWN nor to be filled */
+#define EDGE 2 /* of level 0: static, beside a nearer static surface: neither SHOWN nor to be filled */
 #define REMEMBERED 3 /* of an earlier frame */

@@ -158,7 +158,6 @@ def _accessed(stage: type[Stage], kind: str) -> list[str]:
         for name in getattr(kernel, kind).values()
         for k in range(max(map(len, kernel.choices.values()), default=1))
     ]
-    names = [Background.of_level(0).get(name.strip("{}"), name) for name in names]
     names = [re.sub(r"\{\w+\}", "l", name) for name in names]
     return list(dict.fromkeys(name for name in names if not name.rstrip("'").endswith(scratch)))
 

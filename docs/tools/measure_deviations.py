@@ -99,7 +99,7 @@ GAE: dict[str, Change] = {
         edits={
             "connectivity.cl": {"if (!collect) return;": ""},
             "background.cl": {
-                "from_level != level || !frame->has_previous": "from_level != level",
+                "!frame->has_previous && texel": "!frame->has_previous && level > 0 && texel",
                 "if (!frame->has_previous) return;": "",
             },
         }
@@ -121,7 +121,6 @@ GAE: dict[str, Change] = {
             }
         },
     ),
-    "a single level of background, which remembers what movers hide": Change({"levels": 2}),
     "background texels cover what they map to": Change(constants={"background.cl": {"TEXEL_HALF": "0.0f"}}),
     "hidden parts of movers": Change({"hidden_parts": False}),
     "… the frame before must not have shown anything farther": Change(

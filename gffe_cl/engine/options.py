@@ -139,9 +139,8 @@ class Preset:
 
 PRESETS = {
     "quality": Preset(
-        "Everything is splatted, so that edges hardly moving apart are exact, too. What static surfaces hide is"
-        " remembered.",
-        {"blocks": False, "levels": 2},
+        "Everything is splatted, so that edges hardly moving apart are exact, too.",
+        {"blocks": False},
     ),
     "balanced": Preset("The defaults.", {}),
     "performance": Preset(
@@ -297,7 +296,7 @@ class Options:
         rests=True,
     )
     levels: int = _option(
-        1,
+        2,
         "background levels",
         "Background levels L: the first remembers surfaces behind movers; further ones, each at half the resolution,"
         " those behind static surfaces.",

@@ -193,7 +193,7 @@ def read_levels(pipeline, frame):
         for level in range(pipeline.options.levels)
     ]
     shown = found[0]["state"] == twins.SHOWN
-    of_frame = twins.collect_shown(frame.color, frame.depth, np.zeros_like(shown), False)
+    of_frame = twins.collect_shown(frame.color, frame.depth, np.zeros_like(shown))
     for name in ("color", "depth", "px"):
         found[0][name][shown] = of_frame[name][shown]
     return [found[0] | {"shown": of_frame}, *found[1:]]

@@ -24,35 +24,26 @@ STATES = (
 )
 
 
-_KEY_MEMORY = ("key_memory", "winner_memory")  # of even levels
+_KEY_MEMORY = ("key_memory", "winner_memory")
 _SPARES = 8  # times the alignment: lent memory beyond this stage's needs, because its parts are aligned
 
 
-def _keys(which: str) -> dict[str, str]:
-    """Return keys and winners of the candidates that "fill" a level, or that it can "push" to the next one."""
-    return {f"{which}_{name}": f"background.{{{which}_by}}_{name}" for name in ("keys", "winners")}
-
-
-def _level(names: str, level: str = "level", prefix: str = "level_", kept: str = "") -> dict[str, str]:
-    """Return the arguments that are buffers of the level that is chosen at the launch."""
-    return {f"{prefix}{name}": f"background.{name}_{{{level}}}{kept}" for name in names.split()}
-
-
-def _levels(names: str) -> dict[str, str]:
+def _levels(names: str, prefix: str = "levels_", kept: str = "") -> dict[str, str]:
     """Return the arguments that are buffers of all levels."""
-    return {f"levels_{name}": f"background.{name}" for name in names.split()}
+    return {f"{prefix}{name}": f"background.{name}{kept}" for name in names.split()}
 
 
-_OFFERED = _keys("fill") | _keys("push")
-_SETTLED = {name: f"background.{{fill_by}}_{name}" for name in ("keys", "winners")}
+_OFFERED = {name: f"background.level_{name}" for name in ("keys", "winners")}
+_COLLECTED = _levels("state") | _OFFERED
+_SURFACES = {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask", "links": "connectivity.links"}
 _PROJECTED = {"keys": "warp.keys", "winners": "warp.winners"}
 
 
 class Background(NearestStage):
     """Remembers, in L levels, the static fragments that are hidden now, and fills disocclusions from them.
 
-    After collection nothing reads the earlier content of the levels, nor the keys of even levels. Until the next
-    collection that memory is lent (see `Board`).
+    After collection nothing reads the earlier content of the levels, nor their keys. Until the next collection that
+    memory is lent (see `Board`).
     """
 
     name = "background"
@@ -60,29 +51,29 @@ class Background(NearestStage):
     kernels = (
         Kernel(
             "scatter_level",
-            "level{level}",
-            {
-                "depth": "rendered.depth",
-                "dynamic_mask": "history.dynamic_mask",
-                "links": "connectivity.links",
-                "last_stir": "history.last_stir",
-                "frame_depth": "{depth_of_shown}",
-                "taken": "background.state_{level}",
-                "level_depth": "{depth_of_taken}",
-            }
-            | _level("depth px state", prefix="old_", kept="'")
-            | _OFFERED,
-            _OFFERED,
+            "source",
+            _SURFACES
+            | {"last_stir": "history.last_stir", "frame_depth": "previous.depth"}
+            | _levels("depth px state", "old_", "'")
+            | _COLLECTED,
+            _COLLECTED,
             step=("LANES", 1),
         ),
         Kernel(
-            "settle_level",
+            "scatter_hidden",
             "flat_level{level}",
+            _SURFACES | _levels("depth px state", "old_", "'") | _COLLECTED,
+            _COLLECTED,
+            step=("SCAN_BYTES", 1),
+            group="SCAN_GROUP",
+        ),
+        Kernel(
+            "settle_levels",
+            "levels{levels}",
             {"frame_color": "previous.color", "frame_depth": "previous.depth"}
-            | _level("state")
-            | _SETTLED
-            | _level("color depth px state", "from_level", "old_", "'"),
-            _level("color depth px state") | _SETTLED,
+            | _levels("color depth px", "old_", "'")
+            | _COLLECTED,
+            _levels("color depth px") | {"levels_state": "background.state"},
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
         ),
@@ -125,9 +116,9 @@ class Background(NearestStage):
         self.starts = board.sizes.level_starts(self.levels)
         all_levels = [_all_levels(spec, self.levels) for spec in _level_buffers(0)]
         state = all_levels.pop()  # must last: memory between two levels is EMPTY
-        even = self.keys(board, "even_", "source")
+        offered = self.keys(board, "level_", f"levels{self.levels}")
         self._places = _side_by_side(all_levels, board.sizes)
-        self._places |= {replace(spec, part_of=whole): 0 for spec, whole in zip(even, _KEY_MEMORY, strict=True)}
+        self._places |= {replace(spec, part_of=whole): 0 for spec, whole in zip(offered, _KEY_MEMORY, strict=True)}
         spare = _SPARES * board.sizes.alignment
         nbytes: dict[str, int] = dict.fromkeys(("memory", *_KEY_MEMORY), 0)
         for spec, start in self._places.items():
@@ -142,7 +133,6 @@ class Background(NearestStage):
             ),
             state,
             *self._places,
-            *self.keys(board, "odd_", "level1", fleeting=True),
         )
         super().__init__(board)
         for name in ("memory'", *_KEY_MEMORY):
@@ -172,32 +162,17 @@ class Background(NearestStage):
     def rendered(self, step: Step) -> None:
         """Collect fragments behind the surfaces that the stage `Connectivity` shows. After a reset nothing is kept or
         collected, because movers are unknown yet."""
-        collect = step.previous is not None
-        if not collect:
-            self.clear_keys("even_", "source")
-            self.clear_keys("odd_", "level1")
-        for level in range(self.levels):
-            given = self.of_level(level)
-            for scatter_pass in self.passes if collect else ():
-                self.launch("scatter_level", step, level=level, **given, **{"pass": scatter_pass})
-            self.launch("settle_level", step, level=level, from_level=level, **given)
-            if level + 1 < self.levels:  # the next one begins with the fragments that were pushed down
-                self.launch("settle_level", step, level=level + 1, from_level=level, fill_by=given["push_by"])
-            if collect and level == 0 and self.levels > 2:
-                self.clear_keys("even_", "level2")
-
-    @staticmethod
-    def of_level(level: int) -> dict[str, str]:
-        """Return the buffers of a level: its depth before any candidate, the depth that it showed before (only level
-        0 is shown), and the keys of candidates for it and for the next level. A level's keys are free once it is
-        settled."""
-        keys = dict(zip(("fill_by", "push_by"), ("odd", "even") if level % 2 else ("even", "odd"), strict=True))
-        if level == 0:
-            return keys | {"depth_of_taken": "rendered.depth", "depth_of_shown": "previous.depth"}
-        return keys | {
-            "depth_of_taken": f"background.depth_{level}",
-            "depth_of_shown": f"background.depth_{level}'",
-        }
+        if step.previous is None or self.levels > 2:  # else the connectivity stage clears what is offered to
+            self.clear_keys("level_", f"levels{self.levels}")
+        for level in range(2, self.levels):
+            self.fill(f"state_{level}", EMPTY)
+        for level in range(self.levels if step.previous is not None else 0):
+            for scatter_pass in self.passes:
+                if level == 0:
+                    self.launch("scatter_level", step, **{"pass": scatter_pass})
+                else:
+                    self.launch("scatter_hidden", step, level=level, **{"pass": scatter_pass})
+        self.launch("settle_levels", step, levels=self.levels)
 
     def extrapolated(self, step: Step) -> None:
         """Fill the pixels that the warp left invalid, nearest fragment of all levels first."""

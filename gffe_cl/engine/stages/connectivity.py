@@ -9,11 +9,9 @@ from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec
 
 _COLLECTING = {
-    "state": "background.state_0",
-    "fill_keys": "background.even_keys",
-    "fill_winners": "background.even_winners",
-    "push_keys": "background.odd_keys",
-    "push_winners": "background.odd_winners",
+    "levels_state": "background.state",
+    "keys": "background.level_keys",
+    "winners": "background.level_winners",
 }
 
 

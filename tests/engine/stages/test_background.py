@@ -44,8 +44,8 @@ def test_kernels_equal_their_twins(case):
         assert "background" not in case.pipeline.stages
         return
     color, depth, dynamic = case.now.color, case.now.depth, case.read("history", "dynamic_mask")
-    single, links = case.options.levels == 1, case.read("connectivity", "links")
-    level0 = twins.collect_shown(color, depth, dynamic, single)
+    links = case.read("connectivity", "links")
+    level0 = twins.collect_shown(color, depth, dynamic)
     expected = twins.collect_levels(case.before.levels, level0, depth, dynamic, links, case.from_previous)
     found = read_levels(case.pipeline, case.now)
     for level, (got, wanted) in enumerate(zip(found, expected, strict=True)):
@@ -54,7 +54,7 @@ def test_kernels_equal_their_twins(case):
         for name in ("color", "depth", "px"):
             assert_close(got[name][kept], wanted[name][kept])
     assert (expected[0]["state"] == REMEMBERED).any()
-    assert (expected[0]["state"] == EDGE).any() == single
+    assert (expected[0]["state"] == EDGE).any()
 
     warped = case.after("hidden_parts")
     warped |= twins.project_background(warped, found, case.zoom, case.to_target, case.to_source)
@@ -92,11 +92,12 @@ def test_square_crossing_a_wall_leaves_no_wrong_pixel(device, levels):
 def test_wall_behind_a_fence(device, levels, speed):
     """A strafing camera, bars before a finely patterned wall: what they hid and uncover again is remembered behind
     moving bars at full resolution, behind static ones at half of it, one level down, if there is one."""
-    wall, xs = Rect((0, 0, 10), frequency=1.0), np.arange(-6, 10, 0.8)
+    wall, xs = Rect((0, 0, 10), frequency=1.0), np.arange(-6, 12, 0.8)
     bars = [Rect((x, 0, 4), (0.12, 9), velocity=(speed, 0, 0), tint=(0.05, 0.3, 0.1)) for x in xs]
-    scene, target = Rects([wall, *bars]), camera(W, H, (0.09 * 24, 0, 0))
+    step = 0.09 if speed else 0.18  # static bars hide again what is an EDGE now, unless that passes by 2 px a frame
+    scene, target = Rects([wall, *bars]), camera(W, H, (step * 24, 0, 0))
     pipeline = Pipeline(device, W, H, Options(levels=levels))
-    play(pipeline, scene, [camera(W, H, (0.09 * k, 0, 0)) for k in range(24)])
+    play(pipeline, scene, [camera(W, H, (step * k, 0, 0)) for k in range(24)])
     out, truth = pipeline.extrapolate(target, 24 / 30), scene.frame(target, 24 / 30, W, H)
     holes = (out.numpy("disoccluded") == 1) & (truth.depth > 9)
     holes[:, -8:] = False  # out of screen

@@ -48,21 +48,19 @@ def test_kernel_equals_its_twin(device, lanes, size):
         depth = uneven_depth(rng, width, height)
         dynamic = (rng.random((height, width)) < 0.02 * (k > 1)).astype(np.uint8)
         given = {"depth": uploaded(device, depth), "dynamic_mask": uploaded(device, dynamic)}
-        state, keys = np.full((height, width), 7, np.uint8), np.zeros((height, width), np.uint64)
-        pushed = {name: uploaded(device, keys) for name in ("push_keys", "push_winners")}
-        written = {"state": uploaded(device, state), "fill_keys": uploaded(device, keys)}
-        given |= written | pushed | {"fill_winners": uploaded(device, keys), "last_stir": uploaded(device, keys)}
+        level1 = -(-width // 2) * -(-height // 2)
+        state, keys = np.full(depth.size + level1, 7, np.uint8), np.zeros(depth.size + level1, np.uint64)
+        block["level_starts"] = depth.size, state.size, state.size, state.size
+        written = {"levels_state": uploaded(device, state), "keys": uploaded(device, keys)}
+        given |= written | {"winners": uploaded(device, keys), "last_stir": uploaded(device, keys)}
         stage.launch("find_links", frame=uploaded(device, block), **given)
-        cl.enqueue_copy(device.queue, state, written["state"])
-        cl.enqueue_copy(device.queue, keys, written["fill_keys"])
+        cl.enqueue_copy(device.queue, state, written["levels_state"])
+        cl.enqueue_copy(device.queue, keys, written["keys"])
         assert np.array_equal(stage.read("links"), twins.link_surfaces(depth, dynamic)), k
-        assert np.array_equal(state, twins.shown_state(depth, dynamic, k % 2 == 0)), k
-        emptied = keys.view(np.uint32 if len(stage.passes) > 1 else np.uint64).ravel()[: state.size]
-        assert (~emptied[state.ravel() == 0] == 0).all()
-        cl.enqueue_copy(device.queue, keys, pushed["push_keys"])
-        emptied = keys.view(emptied.dtype).ravel()
-        level1 = -(-width // 2) * -(-height // 2) * (k % 2)  # a single level has none below
-        assert (~emptied[:level1] == 0).all() and not emptied[level1:].any()
+        assert np.array_equal(state[: depth.size], twins.shown_state(depth, dynamic).ravel()), k
+        assert (state[depth.size :] == (0 if k % 2 else 7)).all()  # a single level has none below
+        emptied = keys.view(np.uint32 if len(stage.passes) > 1 else np.uint64)[: state.size]
+        assert (~emptied[state == 0] == 0).all() and not emptied[state == 7].any()
 
 
 def test_links_of_a_pipeline_are_those_of_its_frame(case):

@@ -62,9 +62,7 @@ def test_kernels_and_constants_are_read_from_the_source():
     assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
 
 
-_WRITTEN = dict.fromkeys(
-    ("links", "state", "fill_keys", "fill_winners", "push_keys", "push_winners"), "connectivity.links"
-)
+_WRITTEN = dict.fromkeys(("links", "levels_state", "keys", "winners"), "connectivity.links")
 
 
 @pytest.mark.parametrize(

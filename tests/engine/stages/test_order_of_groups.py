@@ -20,6 +20,7 @@ SHARING = (
     "find_reach",
     "splat",
     "scatter_level",
+    "scatter_hidden",
     "project_levels",
     "resolve",
     "fill_hidden_parts",

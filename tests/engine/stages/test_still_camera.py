@@ -58,7 +58,7 @@ CAMERA = camera(W, H, (0.1, 0, 0), 0.03, 0.01)
 CASES = {
     "rests": ([CAMERA] * FRAMES, Options()),
     "stops": ([*(camera(W, H, (0.1 * k, 0, 0.1)) for k in range(3)), *[CAMERA] * 3, camera(W, H)], Options()),
-    "levels": ([CAMERA] * FRAMES, Options(levels=2, history=4, order=3)),
+    "levels": ([CAMERA] * FRAMES, Options(levels=3, history=4, order=3)),
     "plain": ([CAMERA] * FRAMES, Options(levels=0, soft_silhouettes=False, static_threshold=0.005)),
 }
 

@@ -12,16 +12,14 @@ BACKGROUND = kernel_constants("background.cl")
 EMPTY_TEXEL, SHOWN, REMEMBERED, EDGE = BACKGROUND.EMPTY, BACKGROUND.SHOWN, BACKGROUND.REMEMBERED, BACKGROUND.EDGE
 
 
-def shown_state(depth, dynamic, single):
-    """Return (H, W) uint8: the state of level 0 before anything is remembered; of a `single` one only what is beside
-    movers is open."""
-    static = single & (unmixed(np.where(invalid(depth), np.nan, F(1)), dynamic) > 0)
+def shown_state(depth, dynamic):
+    """Return (H, W) uint8: the state of level 0 before anything is remembered; only what is beside movers is open."""
+    static = unmixed(np.where(invalid(depth), np.nan, F(1)), dynamic) > 0
     return np.where(unmixed(depth, dynamic) > 0, SHOWN, np.where(static, EDGE, EMPTY_TEXEL)).astype(np.uint8)
 
 
-def collect_shown(color, depth, dynamic, single):
-    """Return level 0, perhaps a `single` one, before anything is remembered: color (H, W, 4) float16, depth, px,
-    state."""
+def collect_shown(color, depth, dynamic):
+    """Return level 0 before anything is remembered: color (H, W, 4) float16, depth, px, state."""
     height, width = depth.shape
     packed = np.zeros((height, width, 4), np.float16)
     packed[..., :3] = load_color(color)
@@ -29,7 +27,7 @@ def collect_shown(color, depth, dynamic, single):
         "color": packed,
         "depth": depth.copy(),
         "px": centers(height, width),
-        "state": shown_state(depth, dynamic, single),
+        "state": shown_state(depth, dynamic),
     }
 
 
