@@ -217,8 +217,8 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     float2 own = (float2)(0.0f), all = (float2)(0.0f); /* changes: of this cell, and with those around */
     float depth_here = 0.0f;
     int asked = 0;
-    for (; asked < 10;
-         ++asked) { /* this cell; where it leans, the eight around, and it again: few registers stay in use */
+    /* This cell; where it leans, the eight around, and it again: so few registers stay in use. */
+    for (; asked < 10; ++asked) {
         const int place = (asked + 4) % 9;
         const int x = cell_x + (place % 3 - 1) * NEXT_CELLS, y = cell_y + (place / 3 - 1) * NEXT_CELLS;
         if (!inside(x, y, level_width, level_height)) continue;

@@ -55,43 +55,44 @@ def predicted_half_a_frame_after(device, scene, view, size, count):
     return predicted, frame, history
 
 
+def entered_from_the_left(device, velocity, away, count):
+    """The predicted positions of a mover, which began `away` to the left of the image, and came to a depth of 6; those
+    half a frame later; the last frame, and its history."""
+    width, height = 160, 80
+    still, velocity = camera(width, height), np.array(velocity)
+    edge = still.unproject(np.array([[0.0, height / 2]]), np.array([6.0]))[0, 0]
+    depth = 6 - velocity[2] * (count - 1) / 30
+    mover = Rect((edge - away, 0, depth), (1.0, 0.6), velocity=tuple(velocity), frequency=0.1)
+    scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover])
+    predicted, frame, history = predicted_half_a_frame_after(device, scene, still, (width, height), count)
+    place = still.unproject(twins.centers(height, width), np.where(frame.depth < 7, frame.depth, 1))
+    return predicted, still.project(place + velocity / 60), frame, history
+
+
 def test_movers_that_enter_go_on(device):
     """Fragments that came through the border, and closer, are predicted where they are then, as those beside whose
     place in the frame before is known; their depths in that frame are the twin's."""
-    width, height, velocity = 160, 80, np.array([18.0, 0.0, -6.0])
-    still = camera(width, height)
-    edge = still.unproject(np.array([[0.0, height / 2]]), np.array([6.0]))[0, 0]
-    mover = Rect((edge - 1.8, 0, 6.6), (1.0, 0.6), velocity=tuple(velocity), frequency=0.1)
-    scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover])
-    predicted, frame, history = predicted_half_a_frame_after(device, scene, still, (width, height), 4)
-    shown, met, px = frame.depth < 7, history["met_depth"], twins.centers(height, width)
+    predicted, (there, depth), frame, history = entered_from_the_left(device, (18.0, 0.0, -6.0), 1.8, 4)
+    shown, met = frame.depth < 7, history["met_depth"]
     unmoved = reprojection(frame.camera, frame.camera)
     found = twins.entering_depth(frame.depth, frame.motion, history["dynamic_mask"], met, unmoved, unmoved[4])
     entered = shown & (found > 0) & ~(met > 0)
     assert entered.sum() > 20 and np.array_equal(found[~entered], met[~entered])
     np.testing.assert_allclose(found[entered], frame.depth[entered] + 0.2, rtol=1e-3)
-    there, depth = still.project(still.unproject(px[entered], frame.depth[entered]) + velocity / 60)
-    np.testing.assert_allclose(predicted[True][entered][:, :2], there, atol=0.02)
-    np.testing.assert_allclose(predicted[True][entered][:, 2], depth, rtol=1e-4)
-    assert np.abs(predicted[False][entered][:, 0] - there[:, 0]).min() > 4
+    np.testing.assert_allclose(predicted[True][entered][:, :2], there[entered], atol=0.02)
+    np.testing.assert_allclose(predicted[True][entered][:, 2], depth[entered], rtol=1e-4)
+    assert np.abs(predicted[False][entered][:, 0] - there[entered][:, 0]).min() > 4
     assert np.array_equal(predicted[True][~entered], predicted[False][~entered])
 
 
 def test_movers_that_enter_as_a_whole_go_on(device):
     """A mover that the frame before did not show at all, and that comes closer, is predicted where it is then: the
     motion of its fragments shows how fast it comes."""
-    width, height, velocity = 160, 80, np.array([75.0, 0.0, -24.0])
-    still = camera(width, height)
-    edge = still.unproject(np.array([[0.0, height / 2]]), np.array([6.0]))[0, 0]
-    mover = Rect((edge - 9.2, 0, 9.2), (1.0, 0.6), velocity=tuple(velocity), frequency=0.1)
-    scene = Rects([Rect((0, 0, 12), (20, 9), frequency=0.3), mover])
-    predicted, frame, history = predicted_half_a_frame_after(device, scene, still, (width, height), 5)
-    entered, px = frame.depth < 7, twins.centers(height, width)
+    predicted, (there, depth), frame, history = entered_from_the_left(device, (75.0, 0.0, -24.0), 9.2, 5)
+    entered = frame.depth < 7
     assert entered.sum() > 200 and not (history["met_depth"][entered] > 0).any()
-    there, depth = still.project(still.unproject(px[entered], frame.depth[entered]) + velocity / 60)
-    wrong = np.abs(predicted[True][entered][:, 2] - depth)
-    assert np.median(wrong) < 0.1 * abs(velocity[2]) / 60
-    assert np.median(np.abs(predicted[True][entered][:, :2] - there)) < 0.3
+    assert np.median(np.abs(predicted[True][..., 2] - depth)[entered]) < 0.1 * 24 / 60
+    assert np.median(np.abs(predicted[True][..., :2] - there)[entered]) < 0.3
 
 
 def test_movers_that_come_from_behind_others_go_on(device):
