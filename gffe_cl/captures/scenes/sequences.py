@@ -94,12 +94,6 @@ class SceneFrames:
         self.windows.observe(image.depth)
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
-    def unrendered(self, time: float, number: int = 0) -> RenderedFrame:
-        """Return the cameras of frame `number` at `time`, without buffers, for another frame. Adaptive windows are
-        not supported, because they depend on earlier rendered frames."""
-        shown = self.display_camera(time)
-        return RenderedFrame(None, None, None, self.render_camera(shown, None, number), time, shown)
-
     def half_motions(self, frame: RenderedFrame, before: RenderedFrame) -> tuple[np.ndarray, np.ndarray]:
         """Return motion (H, W, 2) from `frame` half way to the rendered frame `before`, and from there to `before`,
         as in an engine that renders twice as many frames."""

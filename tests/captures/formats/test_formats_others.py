@@ -26,8 +26,6 @@ def same_pose(camera, expected, atol=1e-5):
 
 # Unreal
 
-TO_UNREAL = np.array([[0, 0, 1], [1, 0, 0], [0, -1, 0]])  # ours at zero angles → x forward, y right, z up
-
 
 def unreal_camera(shot, pitch, yaw, roll):
     """Location and rotation, from rotations about axes one after another: yaw about z, pitch about y, roll about x."""

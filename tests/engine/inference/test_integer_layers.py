@@ -54,10 +54,6 @@ def changed(path, change):
     return Path(path)
 
 
-def tensor_of(graph, name):
-    return next(tensor for tensor in graph.initializer if tensor.name == name)
-
-
 def node_of(graph, op, number=0):
     return [node for node in graph.node if node.op_type == op][number]
 
