@@ -261,8 +261,7 @@ INLINE void meet_behind(Side *side, const int dst_x, const int dst_y, const int 
 }
 
 /* Looks on in direction k, past the mover or the surface before the hole (a bar, say) that it has met, for a static
-   surface that can be there. Without any it meets what the rendered frame shows behind that, and what was made up for a
-   mover does not count either. */
+   surface that can be there. Without any it meets what the rendered frame shows behind that. */
 INLINE void look_past(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
                       const Images f, __local Side *side) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
@@ -285,15 +284,10 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
         before = z;
     }
     const int behind = behind_edge(*side, k, frame, f);
-    if (behind >= 0) {
-        Side found = *side;
-        meet_behind(&found, dst_x, dst_y, behind, frame, f);
-        *side = found;
-        return;
-    }
-    if (!IS_OF_MOVER(f.filled_by[side->px])) return;
-    side->meets = false;
-    side->inverse = INFINITY;
+    if (behind < 0) return;
+    Side found = *side;
+    meet_behind(&found, dst_x, dst_y, behind, frame, f);
+    *side = found;
 }
 
 /* What a hole meets in direction k, up to `reach` px away. */

@@ -213,8 +213,7 @@ def continued_surface(warped, y, x, reach, to_source, rendered, lines):
         return _Side(*values, of_mover, outside and behind is None, can_be_there, behind)
 
     def past(way, d):
-        """Return the first side on `way` that can be there; else what is behind the first one of all, or that, unless
-        it was made up."""
+        """Return the first side on `way` that can be there; else what is behind the first one of all, or that."""
         first = side(*way[0], d)
         if first.can_be_there:
             return first
@@ -233,7 +232,7 @@ def continued_surface(warped, y, x, reach, to_source, rendered, lines):
                 return side(distance, q, d)._replace(can_be_there=True, outside=False, of_mover=False)
             before = depth[q]
         if first.behind is None:
-            return None if is_made_up(first.q) else first
+            return first
         inverse = _inverse_of(source_depth[first.behind])
         place = source_of(y, x, inverse, to_source)
         outside = is_outside(place, source_color)
