@@ -307,10 +307,11 @@ INLINE void settle(const int texel, const uint winner, Texels old, __constant Fr
               level_width = level_side(frame->source_width, level);
     const bool shown = !(winner & FROM_MEMORY); /* else stored */
     const int from = (int)(winner & ~FROM_MEMORY);
+    const float z = depth_of(old, from, shown);
     old.level = level_of(from, starts);
     const int old_width = level_side(frame->source_width, old.level), in_old = from - start_of(old.level, starts);
     const float2 px = px_of(old, from, in_old % old_width, in_old / old_width, shown);
-    const float3 now = reproject(px, depth_of(old, from, shown), frame->from_previous);
+    const float3 now = reproject(px, z, frame->from_previous);
     const float2 center = pixel_center(in_level % level_width, in_level / level_width) * (float)(1 << level);
     levels.color[texel] = shown ? pack_color(load_color(old.frame_color, from)) : old.color[from];
     levels.depth[texel] = now.z;

@@ -329,7 +329,6 @@ EXCESSES = {
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
     ("warp.splat", "sm_86", "registers"): ("silhouettes ask the background; two registers too many", ""),
     ("prediction.predict_positions", "dg2-g10", "SIMD8"): ("most see no mover", ""),
-    ("hidden_parts.fill_hidden_parts", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("prediction.predict_positions", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("scenes/scene.shade", "sm_86", "memory"): (_SCENES, ""),
