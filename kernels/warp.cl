@@ -178,6 +178,9 @@ INLINE Floats deviation(const Floats there_x, const Floats there_y, const Floats
     return ex > ey ? ex : ey;
 }
 
+/* Motion below STILL is rounding, and counts as none. */
+INLINE Floats without_rounding(const Floats d) { return fabs(d) < STILL ? (Floats)(0.0f) : d; }
+
 /* By how much the nearest so far of the surfaces beside deviates from the winners' motion. */
 INLINE void carry(const Ints beside, const Floats depth, const Floats x, const Floats y, Floats *nearest, Floats *off_x,
                   Floats *off_y) {
@@ -208,8 +211,8 @@ INLINE void step_off_silhouettes(const Fragments from, const Found won, const Pl
     carry(up, depth.up, at.x.up - at.x.here + f.yx, at.y.up - at.y.here + f.yy, &nearest, &off_x, &off_y);
     carry(down, depth.down, at.x.down - at.x.here - f.yx, at.y.down - at.y.here - f.yy, &nearest, &off_x, &off_y);
     const Ints together = (fabs(off_x) <= SAME_MOTION) & (fabs(off_y) <= SAME_MOTION);
-    *step_x = together ? wide_divide(f.yx * off_y - f.yy * off_x, f.det) : none;
-    *step_y = together ? wide_divide(f.xy * off_x - f.xx * off_y, f.det) : none;
+    *step_x = together ? without_rounding(wide_divide(f.yx * off_y - f.yy * off_x, f.det)) : none;
+    *step_y = together ? without_rounding(wide_divide(f.xy * off_x - f.xx * off_y, f.det)) : none;
 
     /* Away from the nearer surfaces that move away. */
     const Ints from_left = left & (deviation(at.x.left, at.y.left, -one, none, at, f) > MOVES_AWAY),
@@ -253,9 +256,6 @@ INLINE Ints taps_alike(const Fragments from, const Found won, const Floats ox, c
     }
     return alike;
 }
-
-/* Motion below STILL is rounding, and counts as none. */
-INLINE Floats without_rounding(const Floats d) { return fabs(d) < STILL ? (Floats)(0.0f) : d; }
 
 /* The first `count` of LANES pixels that are no holes. `own`: lanes whose fragment lands on them. */
 INLINE void store_labels(const NewFrame to, const int dst, const int count, const Bytes dynamic_mask, const Ints own) {

@@ -435,7 +435,7 @@ def test_modules_and_parameters_come_from_the_descriptions(session):
     assert parameters.options.warp == "dilated" and parameters.options.order == 3  # which no preset sets
     assert parameters.options.preset_name == "performance"
     parameters.use_preset("balanced")
-    assert parameters.options.levels == 1
+    assert parameters.options.levels == Options().levels
     parameters.use_defaults()
     assert parameters.options == Options(**ALWAYS) and session.model.n == 1
     assert "no trained weights" in parameters.why_not("shading_correction") == parameters.why_not("focus_mask")

@@ -338,6 +338,7 @@ def resolve(keys, target_position, color, depth, dynamic, links, zoom, sharpness
     with np.errstate(invalid="ignore"):
         carried = -_source_offset(ddx, ddy, off) / det[..., None]
         carried[~(np.abs(off) <= WARP.SAME_MOTION).all(-1)] = 0
+    carried[np.abs(carried) < WARP.STILL] = 0
 
     step_x, step_y = np.zeros_like(sx), np.zeros_like(sy)
     for dx, dy in _STEPS:
