@@ -5,7 +5,7 @@ import pytest
 import twins
 from moving_scene import MOVING, WALL, H, W, dolly, submit
 from synthetic import Rect, Rects, camera
-from twin_cases import frames
+from twin_cases import SCENE, frames
 
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.outputs import Output
@@ -52,8 +52,8 @@ def test_kernels_equal_their_twins(case):
 def test_large_holes(device, filling):
     """Wider than the reach: labels stay, and fills are the twin's."""
     width, height = 301, 70
-    pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False, entering=False))
-    past, frame = frames(width, height, count=2, spoil=False)
+    pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False))
+    past, frame = frames(width, height, count=2, spoil=False, scene=Rects(SCENE.rects[:-1]))  # nothing enters
     for submitted in (past, frame):
         pipeline.submit(submitted)
     names = ("color", "depth", "motion", "filled_by")
