@@ -185,7 +185,7 @@ def test_palette_and_help(values):
 
 def test_parameters_by_the_palette(values):
     assert values["toggled"] == [False, True] and values["chosen"] == "downsample"
-    assert values["refused"] == [1, "levels"] and values["entered"] == [3, None]
+    assert values["refused"] == [2, "levels"] and values["entered"] == [3, None]
     assert values["stepped"] == pytest.approx(1.4) and values["automatic"] is None
     assert values["n"] == 3
 
