@@ -164,7 +164,7 @@ def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], so
 
 class _Taken(NamedTuple):
     """A pixel beside the hole: its depth and `inverse` depth, and 1 / distance. The hole's pixel at that depth is
-    `outside` of the rendered image, or may be a surface `behind` what that shows. It is of a `mover`, or was `made_up`
+    `outside` of the rendered image, or may be a surface `behind` what that shows. It is of a `mover`, or was filled
     for one. `past`: what the direction met first, which cannot be there. `beyond`: the depth of what the rendered frame
     shows where its surface ends before that."""
 
@@ -175,7 +175,6 @@ class _Taken(NamedTuple):
     outside: bool
     behind: bool
     mover: bool
-    made_up: bool
     past: _Taken | None = None
     beyond: float | None = None
 
@@ -212,8 +211,7 @@ def what_was_taken(
     if not met:
         return Step(f"No direction meets a pixel beside the hole, so it took that of the rendered frame. {color}")
     if not any(one.outside for one in met) and not is_far and not all(one.mover for one in met):
-        looked = (one if one.behind else _past(pipeline, shot, block, way, one) for way, one in ways.items())
-        met = [one for one in looked if one is not None]
+        met = [one if one.behind else _past(pipeline, shot, block, way, one) for way, one in ways.items()]
     beyond = [one for one in met if one.outside]
     used = beyond or _behind(met)
     listed = ", ".join(one.told for one in used)
@@ -240,8 +238,8 @@ def _rendered(pipeline: Pipeline, shot: Shot, name: str, place: tuple[float, flo
 
 def _taken(pipeline: Pipeline, shot: Shot, block: _Block, way: tuple[int, int], at: tuple[int, int]) -> _Taken:
     depth = float(block.at(names.DEPTH, *at)[0])
-    made_up = int(block.at(names.FILLED_BY, *at)[0]) in (BY_HIDDEN_PART, BY_REAPPEARING)
-    mover = made_up or bool(block.at(names.DYNAMIC, *at)[0])
+    is_filled = int(block.at(names.FILLED_BY, *at)[0]) in (BY_HIDDEN_PART, BY_REAPPEARING)
+    mover = is_filled or bool(block.at(names.DYNAMIC, *at)[0])
     dx, dy = block.at(names.MOTION, *at)
     step = _HOLES["PAST_EDGE"]
     edge = at[0] + 0.5 + float(dx) - step * way[0], at[1] + 0.5 + float(dy) - step * way[1]
@@ -253,7 +251,7 @@ def _taken(pipeline: Pipeline, shot: Shot, block: _Block, way: tuple[int, int], 
     outside, can_be = _where(pipeline, shot, block.pixel, depth)
     closeness, ends = 1.0 / math.dist(at, block.pixel), beyond is not None
     behind = can_be and not mover and not ends
-    values = at, depth, _inverse_of(depth), closeness, outside and not ends, behind, mover, made_up
+    values = at, depth, _inverse_of(depth), closeness, outside and not ends, behind, mover
     return _Taken(*values, beyond=beyond)
 
 
@@ -268,9 +266,9 @@ def _where(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], depth: float)
     return False, bool(shown > 0 and not (z if known else math.inf) < _HOLES["IN_FRONT"] * shown)
 
 
-def _past(pipeline: Pipeline, shot: Shot, block: _Block, direction: tuple[int, int], one: _Taken) -> _Taken | None:
+def _past(pipeline: Pipeline, shot: Shot, block: _Block, direction: tuple[int, int], one: _Taken) -> _Taken:
     """Return what a direction meets past `one`, which cannot be there: a static surface behind it that can be. Without
-    any what the rendered frame shows beyond its edge counts, or it counts itself, unless it was made up."""
+    any what the rendered frame shows beyond its edge counts, or it counts itself."""
     before = 0.0 if one.mover else one.depth
 
     def can_be_there(x: int, y: int) -> bool:
@@ -288,7 +286,7 @@ def _past(pipeline: Pipeline, shot: Shot, block: _Block, direction: tuple[int, i
     if at is not None:
         return _taken(pipeline, shot, block, direction, at)._replace(past=one, outside=False, behind=True)
     if one.beyond is None:
-        return None if one.made_up else one
+        return one
     outside, can_be = _where(pipeline, shot, block.pixel, one.beyond)
     return one._replace(
         inverse=_inverse_of(one.beyond),
