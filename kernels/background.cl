@@ -28,6 +28,19 @@ INLINE int pack_px(const float2 offset, const int level) {
     return ((int)units.x & 0xFFFF) | ((int)units.y << 16);
 }
 
+/* The levels lie one after another: `starts` are the first texels of levels 1 to 3, and the end. */
+INLINE int level_of(const int texel, const int4 starts) {
+    return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
+}
+
+INLINE int start_of(const int level, const int4 starts) {
+    return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : level == 3 ? starts.z : starts.w;
+}
+
+INLINE int size_of(const int level, __constant Frame *frame) {
+    return level_side(frame->source_width, level) * level_side(frame->source_height, level);
+}
+
 /* Texels of a level, or of all, to read, and the frame whose pixels are those that are SHOWN. */
 typedef struct {
     __global const uint *color;
@@ -99,6 +112,16 @@ typedef struct {
     __global Key *keys;
     __global uint *winners;
 } Collection;
+
+INLINE Collection collection_of(__constant Frame *frame, const int level, const int pass, __global const float *depth,
+                                __global const uchar *dynamic_mask, __global const uchar *links,
+                                __global uchar *levels_state, __global Key *keys, __global uint *winners) {
+    const int width = frame->source_width, height = frame->source_height, last_level = frame->levels - 1;
+    const int first = start_of(level, frame->level_starts), next = start_of(level + 1, frame->level_starts);
+    const Collection made = {width, height,       level, last_level,   pass, first,  next,
+                             depth, dynamic_mask, links, levels_state, keys, winners};
+    return made;
+}
 
 INLINE bool lands(const float3 now, const int width, const int height) {
     return now.z > 0.0f && holds(width, height, now.xy);
@@ -208,17 +231,7 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int pas
     if (texel_x >= width || texel_y >= height) return;
     if (collects_nothing(block_of(texel_x, texel_y, width), frame, last_stir)) return;
     const int texel = texel_y * width + texel_x;
-    const Collection to = {.width = width,
-                           .height = height,
-                           .last_level = frame->levels - 1,
-                           .pass = pass,
-                           .next = frame->level_starts.x,
-                           .depth = depth,
-                           .dynamic_mask = dynamic_mask,
-                           .links = links,
-                           .levels_state = levels_state,
-                           .keys = keys,
-                           .winners = winners};
+    const Collection to = collection_of(frame, 0, pass, depth, dynamic_mask, links, levels_state, keys, winners);
 
     /* LANES texels at once: what the frame before shows there, or what they remember. */
     const int count = width - texel_x;
@@ -248,19 +261,6 @@ WIDE __kernel void scatter_level(__constant Frame *restrict frame, const int pas
     }
 }
 
-/* The levels lie one after another: `starts` are the first texels of levels 1 to 3, and the end. */
-INLINE int level_of(const int texel, const int4 starts) {
-    return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
-}
-
-INLINE int start_of(const int level, const int4 starts) {
-    return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : level == 3 ? starts.z : starts.w;
-}
-
-INLINE int size_of(const int level, __constant Frame *frame) {
-    return level_side(frame->source_width, level) * level_side(frame->source_height, level);
-}
-
 /* Offers the fragments of B'_level, which is not B'_0: few. */
 SCAN_FLAT __kernel void scatter_hidden(__constant Frame *restrict frame, const int level, const int pass,
                                        __global const float *depth, __global const uchar *dynamic_mask,
@@ -271,19 +271,7 @@ SCAN_FLAT __kernel void scatter_hidden(__constant Frame *restrict frame, const i
     __local uint count;
     const int start = start_of(level, frame->level_starts), level_width = level_side(frame->source_width, level);
     const Texels old = {.px = old_px, .level = level};
-    const Collection to = {.width = frame->source_width,
-                           .height = frame->source_height,
-                           .level = level,
-                           .last_level = frame->levels - 1,
-                           .pass = pass,
-                           .first = start,
-                           .next = start_of(level + 1, frame->level_starts),
-                           .depth = depth,
-                           .dynamic_mask = dynamic_mask,
-                           .links = links,
-                           .levels_state = levels_state,
-                           .keys = keys,
-                           .winners = winners};
+    const Collection to = collection_of(frame, level, pass, depth, dynamic_mask, links, levels_state, keys, winners);
     const int first = scan_for(REMEMBERED, old_state + start, size_of(level, frame), found, &count);
     for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
         const int in_level = first + found[i], texel = start + in_level;

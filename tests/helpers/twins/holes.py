@@ -111,7 +111,7 @@ def beyond(at, source_color, lines):
     height, width = source_color.shape[:2]
     out = [np.clip(at[k], F(0.5), F(side - 0.5)) - at[k] for k, side in ((0, width), (1, height))]
     axis = 0 if abs(out[1]) > abs(out[0]) else 1  # along the border
-    away, side = out[1 - axis], (width, height)[axis]
+    away, side = np.clip(out[1 - axis], -F(width), F(width)), (width, height)[axis]
     row = 0 if not away < 0 else -1
     cells = lines[:, row] if axis == 0 else lines[::-1, :, row]
     along = at[axis]
