@@ -83,7 +83,7 @@ def test_damaged_cells_are_none(tmp_path):
 
 # ---- the command -------------------------------------------------------------------------------------------------
 
-SMALL = ("--size", "64x36", "--frames", 4)
+SMALL = ("--size", "128x72", "--frames", 4)
 FEW = "gffe,no-motion,adaptive-window,motion-vectors,guided,interpolation,repeat"
 
 
@@ -102,7 +102,7 @@ def test_eval(gffe, tmp_path, monkeypatch):
     cells = {(c["sequence"], c["method"]): c for c in document["cells"]}
     assert len(cells) == 8 + 6 and cells["forest:2", "mix"]["psnr"] > cells["forest:2", "repeat"]["psnr"]
     best = cells["forest:2", "gffe"]
-    assert best["psnr"] > cells["forest:2", "no-motion"]["psnr"] - 0.05 and best["against"] is None
+    assert best["psnr"] > cells["forest:2", "no-motion"]["psnr"] + 0.1 and best["against"] is None
     assert (
         best["psnr"] > cells["forest:2", "repeat"]["psnr"] + 3
         and best["flicker"] < cells["forest:2", "repeat"]["flicker"]

@@ -63,7 +63,7 @@ def test_large_holes(device, filling):
     kept = next(owner for owner, _ in pipeline.named_buffers() if isinstance(owner, Output))
     left = {name: kept.read(name) for name in names}
     holes = left["filled_by"] == twins.COMMON.BY_HOLE_FILLING
-    assert holes[:, -60:].mean() > 0.9
+    assert holes[:, -60:].mean() > 0.7  # a mover enters the rest
     left |= {"filled_by": np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])}
     left |= {"dynamic": pipeline.board.frame.read("dynamic")}
     filled = filled_holes(pipeline, left, frame, reprojection(to, frame.camera))
