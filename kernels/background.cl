@@ -594,10 +594,13 @@ WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
         barrier(CLK_LOCAL_MEM_FENCE);
         const bool mixes = frame->far_side && is_filled[team];
         const int hole = mixes ? (int)entry_of(open, first + team) : 0;
-        for (int k = item % TEAM; mixes && k < DIRECTIONS; k += TEAM) {
+        for (int k = item % TEAM; mixes && k < DIRECTIONS; k += TEAM)
             sides[team][k] = look(hole % width, hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
-            changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
-        }
+        barrier(CLK_LOCAL_MEM_FENCE);
+        const int far = mixes ? far_side(sides[team]) : 0;
+        for (int k = item % TEAM; k < DIRECTIONS; k += TEAM)
+            if (has(far, k))
+                changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
         barrier(CLK_LOCAL_MEM_FENCE);
         if (frame->far_side && item < TEAMS && is_filled[item])
             mix_far_side((int)own, sides[item], changes[item], frame, color);
