@@ -5,7 +5,7 @@
    acceleration turns: it turns on by the angle by which it turned. What turns by more than a quarter in an
    interval, as wheels do, moves on as its center does. Cells without a mover are skipped. Some movers are carried by
    the camera, as wipers and hands are: where velocity in view space has changed less since the frame before than that
-   in the world, here and around, velocity and acceleration go on in view space. */
+   in the world, here and around, velocity and acceleration go on in view space, until it moves less in the world. */
 
 #include "frame.h"
 #include "mover_grid.h"
@@ -15,14 +15,10 @@
 #define BEND_MOST 0.5f /* share of the velocity: the more an acceleration exceeds it, the less it counts */
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define LASTS 1.5f /* times the share of it that there was before: what counts, at most all of it */
-/* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in
-   the world, while LEANS is that share for the sum over this cell and those around; or the other way round, with
-   IN_VIEW_AROUND for the sum ... */
-#define IN_VIEW 0.25f
-#define IN_VIEW_AROUND 0.5f
-#define LEANS 0.75f
+#define IN_VIEW                                                                                                        \
+    0.5f /* share of the squared change of velocity in the world: less in view space: the camera carries it */
+#define KEEPS_UP 0.0625f /* share of the squared velocity: what is slower in view space keeps up with the camera */
 #define NEXT_CELLS 3 /* cells to those around: of a 3x3 */
-#define STILL_IN_VIEW 1.0f  /* ... or below this one if it did before */
 /* SHAKEN: a mover begins to be carried only where its velocity in the world has changed by more than this share of
    its distance: without a shake both spaces fit */
 #define SHAKEN 0.004f
@@ -171,7 +167,7 @@ INLINE float2 changes(const Mover mover, const Past past, __constant Frame *fram
 /* Whether the cells around must be asked if the camera carries a mover, by its own `changes`. */
 INLINE bool leans(const Mover mover, const Past past, const float2 own, __constant Frame *frame) {
     const float shaken = SHAKEN * mover.depth;
-    return frame->camera_fixed && !past.was_carried && own.x < LEANS * own.y && own.y > shaken * shaken;
+    return frame->camera_fixed && !past.was_carried && own.x < own.y && own.y > shaken * shaken;
 }
 
 /* Whether a mover spins: accelerations of the last two intervals, alike but for their direction, are more than a
@@ -236,8 +232,10 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     view_velocity[cell] = packed(mover.view_velocity, 0.0f);
     if (!(past.weight > 0.0f)) return;
     float3 now = mover.velocity, was = ratio * rotate_to_target(past.velocity, frame->from_previous);
-    const bool carried = asked > 0 ? all.x < (own.x < IN_VIEW * own.y ? LEANS : IN_VIEW_AROUND) * all.y
-                                   : frame->camera_fixed && past.was_carried && own.x < STILL_IN_VIEW * own.y;
+    const float in_view = squared_length(mover.view_velocity), in_world = squared_length(mover.velocity);
+    const float share_in_view = in_view < KEEPS_UP * in_world ? 1.0f : IN_VIEW;
+    const bool carried =
+        frame->camera_fixed && in_view < in_world && (past.was_carried || (asked > 0 && all.x < share_in_view * all.y));
     if (carried) {
         now = mover.view_velocity;
         was = ratio * past.view_velocity;

@@ -167,6 +167,31 @@ def test_what_the_camera_carries_moves_on_in_view_space(device):
     assert view < world - 2, (world, view)
 
 
+class Recoils(Motion):
+    """Lifts by 0.12 m between 0.1 and 0.13 s."""
+
+    def __call__(self, time):
+        return translation((0, 0.12 * np.clip((time - 0.1) * 30, 0, 1), 0))
+
+
+def test_what_recoils_is_still_carried(device):
+    """A weapon that jumps in view space, while the camera carries it ahead faster than it jumps."""
+    camera = Shaken() @ Carry((0, 0, -7), 1.0)
+    sways = Place(0.1, -0.2, -1.2) @ Recoils() @ Swing("z", 6, 0.4)
+    weapon = Group([Box((0, 0, 0), (0.3, 0.3, 0.4), RED)], camera @ sways)
+    room = [Group([Box((0, -0.9, -8), (40, 0.2, 40), GRAY)]), Group([Box((0, 2, -16), (40, 12, 0.2), GRAY)])]
+    scene = Scene(
+        "weapon", "", 0, [*room, weapon], [Light("lamp", (2, 4, 3), (30, 30, 28))], Air(),
+        lambda time: camera(time)[:3, 3], lambda time: camera(time)[:3, 3] - np.array((0, 0, 1.0)),
+    )  # fmt: skip
+    pipeline, shares = Pipeline(device, 128, 72, Options(shading_correction=False)), []
+    for frame in SceneFrames(SceneRenderer(device, scene, 128, 72)).sequence(6):
+        pipeline.submit(frame)
+        mover, view = (pipeline.stages["acceleration"].read(name) for name in ("velocity", "view_velocity"))
+        shares.append((view[..., 3][mover[..., 3] > 0] > 0).mean())
+    assert min(shares[3:]) > 0.8, shares
+
+
 def test_a_camera_that_does_not_shake_carries_nothing(device):
     """A path that fits as well in view space as in the world is one in the world: the next camera may turn."""
     size, scene = (160, 90), load_scene("gallery")

@@ -85,19 +85,20 @@ def _changes(mover, past, ratio, from_previous):
 
 def _is_carried(cell, movers, pasts, ratio, from_previous):
     mover, past = movers[cell], pasts[cell]
+    in_world, in_view = ((velocity * velocity).sum() for velocity in mover[:2])
+    if past[3] or not in_view < in_world:
+        return in_view < in_world
     own = _changes(mover, past, ratio, from_previous)
-    if past[3]:
-        return own[0] < F(ACCELERATION.STILL_IN_VIEW) * own[1]
     shaken = F(ACCELERATION.SHAKEN) * mover[3]
-    if not (own[0] < F(ACCELERATION.LEANS) * own[1] and own[1] > shaken * shaken):
+    if not (own[0] < own[1] and own[1] > shaken * shaken):
         return False
     total = own
     for dy, dx in np.ndindex(3, 3):
         other = cell[0] + (dy - 1) * ACCELERATION.NEXT_CELLS, cell[1] + (dx - 1) * ACCELERATION.NEXT_CELLS
         if other != cell and pasts.get(other) and _is_of_cell(movers[other][3], mover[3]):
             total = total + _changes(movers[other], pasts[other], ratio, from_previous)
-    most = ACCELERATION.LEANS if own[0] < F(ACCELERATION.IN_VIEW) * own[1] else ACCELERATION.IN_VIEW_AROUND
-    return total[0] < F(most) * total[1]
+    share = F(1) if in_view < F(ACCELERATION.KEEPS_UP) * in_world else F(ACCELERATION.IN_VIEW)
+    return total[0] < share * total[1]
 
 
 def _center_velocity(velocity, found, before, spun, px):
