@@ -98,7 +98,7 @@ WIDE __kernel void measure_changes(__constant Frame *restrict frame, __global co
                 factor[k] *= c.factor[k];
                 differs |= is_more_than_noise(c.factor[k]);
             }
-            differing += differs ? (Ints)(1) : (Ints)(0);
+            differing += differs & 1;
         }
     const float share = (float)(SAMPLE_STRIDE * SAMPLE_STRIDE) / (float)(CELL * CELL);
     const int cell = cell_y * cells_width + first_x;
