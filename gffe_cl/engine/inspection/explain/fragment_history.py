@@ -153,8 +153,8 @@ def _fragment_sentences(pipeline, shot, depth, motion, static, label, residual, 
         said.append(Step(predicted, Link("target position", names.TARGET_POSITION)))
         if carried:
             moves_on = (
-                "The camera carries it: in view space its velocity has changed less than in the world. So it moves on"
-                " there, before the new camera."
+                "The camera carries it: it is slower in view space than in the world, and when that began, its velocity"
+                " there had changed less. So it moves on there, before the new camera."
             )
             said.append(Step(moves_on, Link("velocity in view space", names.VIEW_VELOCITY)))
         if spins:
