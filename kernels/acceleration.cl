@@ -12,7 +12,7 @@
 
 /* What set the thresholds: docs/deviations.md, "Movers' acceleration goes on", "Objects that the camera carries move
    on in view space", "What spins moves on as its center does". */
-#define BEND_MOST 0.5f /* share of the velocity: the more an acceleration exceeds it, the less it counts */
+#define BEND_MOST 0.5f /* share of the velocity: the more an acceleration in doubt exceeds it, the less it counts */
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define LASTS 1.5f /* times the share of it that there was before: what counts, at most all of it */
 #define IN_VIEW                                                                                                        \
@@ -97,10 +97,10 @@ INLINE float lasted(const float3 acceleration, const float3 before) {
     return size > 0.0f ? clamp(LASTS * divide(product_of(acceleration, before), size), 0.0f, 1.0f) : 0.0f;
 }
 
-/* Weight of an acceleration, 0 to 1: `share` of it, and less where it bends the path sharply. */
+/* Weight of an acceleration, 0 to 1: `share` of it, and less where it is in doubt and bends the path sharply. */
 INLINE float trust(const float3 velocity, const float3 acceleration, const float share) {
     const float size = squared_length(acceleration), speed = BEND_MOST * BEND_MOST * squared_length(velocity);
-    return size > speed ? share * divide(speed, size) : share;
+    return share < 1.0f && size > speed ? share * divide(speed, size) : share;
 }
 
 /* The change of an acceleration in the next interval, if it turns by the angle by which it has turned since `before`:

@@ -31,8 +31,8 @@ def ball(motion):
     return [Group([Sphere((0, 0, 0), 0.3, RED)], motion)]
 
 
-def leg(x, z, phase):
-    return Group([Capsule((0, 0, 0), (0, -0.9, 0), 0.1, RED)], Place(x, 1.2, z) @ Swing("z", 30, 0.9, phase))
+def leg(x, z, phase, angle=30, period=0.9):
+    return Group([Capsule((0, 0, 0), (0, -0.9, 0), 0.1, RED)], Place(x, 1.2, z) @ Swing("z", angle, period, phase))
 
 
 def rotor(rate):
@@ -56,6 +56,7 @@ CASES = {
     "a rotor": (rotor(240), 0.05, 0.15),
     "a fast rotor": (rotor(720), 1.0, 1.0),
     "a wheel": (wheel(3600), 4.0, 5.0),
+    "a quick swing": ([leg(0, 0.2, 0.0, 50, 0.5)], 2.0, 2.3),
     "swinging legs": ([leg(-0.2, 0, 0.0), leg(0.3, 0.2, 0.5)], -0.02, 0.05),
     "a ball behind bars": (ball(FLIGHT) + BARS, -0.03, 0.0),
 }

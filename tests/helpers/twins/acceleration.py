@@ -29,7 +29,7 @@ def _lasted(found, before):
 
 def _trust(velocity, found, share):
     size, speed = (found * found).sum(), ACCELERATION.BEND_MOST**2 * (velocity * velocity).sum()
-    return share * (speed / size) if size > speed else share
+    return share * (speed / size) if share < 1 and size > speed else share
 
 
 def _change_of(found, before):
