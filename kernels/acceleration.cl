@@ -15,8 +15,9 @@
 #define BEND_MOST 0.5f /* share of the velocity: the more an acceleration in doubt exceeds it, the less it counts */
 #define FIRST 0.5f /* share of an acceleration that counts where that of the interval before is not known */
 #define LASTS 1.5f /* times the share of it that there was before: what counts, at most all of it */
-#define IN_VIEW                                                                                                        \
-    0.5f /* share of the squared change of velocity in the world: less in view space: the camera carries it */
+/* IN_VIEW: the camera carries a mover whose squared change of velocity in view space is below this share of that in the
+   world */
+#define IN_VIEW 0.5f
 #define KEEPS_UP 0.0625f /* share of the squared velocity: what is slower in view space keeps up with the camera */
 #define NEXT_CELLS 3 /* cells to those around: of a 3x3 */
 /* SHAKEN: a mover begins to be carried only where its velocity in the world has changed by more than this share of
@@ -26,13 +27,13 @@
  */
 #define SPIN_SIZES 1.25f
 #define STILL_SPINS 2.0f /* ... or by this one where it did before ... */
-#define SPIN_LEAST 2.0f  /* px: ... and are at least so long: smaller ones may be errors */
+#define SPIN_LEAST 2.0f /* px: ... and are at least so long: smaller ones may be errors */
 
 /* Mean values of a cell's fragments of one mover. */
 typedef struct {
-    float3 velocity;  /* in the world, along the axes of view space; world units per interval */
-    float3 view_velocity;  /* in view space */
-    float2 px_prev;   /* where they were */
+    float3 velocity; /* in the world, along the axes of view space; world units per interval */
+    float3 view_velocity; /* in view space */
+    float2 px_prev; /* where they were */
     float depth, depth_prev;
 } Mover;
 
@@ -116,8 +117,8 @@ INLINE float3 change_of(const float3 acceleration, const float3 before) {
 /* How a mover moved in the frame before, met where its motion points to: means over its cells there. */
 typedef struct {
     float3 velocity, view_velocity;
-    float3 acceleration;  /* where it is known */
-    float weight, weight_known, weight_spun;  /* of cells of the mover, of those with an acceleration, that spun */
+    float3 acceleration; /* where it is known */
+    float weight, weight_known, weight_spun; /* of cells of the mover, of those with an acceleration, that spun */
     bool was_carried;
 } Past;
 
@@ -164,10 +165,16 @@ INLINE float2 changes(const Mover mover, const Past past, __constant Frame *fram
                     squared_length(mover.velocity - was));
 }
 
+/* Whether a mover's squared velocity in view space is below a share of that in the world. */
+INLINE bool is_slower_in_view(const Mover mover, const float share) {
+    return squared_length(mover.view_velocity) < share * squared_length(mover.velocity);
+}
+
 /* Whether the cells around must be asked if the camera carries a mover, by its own `changes`. */
 INLINE bool leans(const Mover mover, const Past past, const float2 own, __constant Frame *frame) {
     const float shaken = SHAKEN * mover.depth;
-    return frame->camera_fixed && !past.was_carried && own.x < own.y && own.y > shaken * shaken;
+    return frame->camera_fixed && !past.was_carried && is_slower_in_view(mover, 1.0f) && own.x < own.y
+           && own.y > shaken * shaken;
 }
 
 /* Whether a mover spins: accelerations of the last two intervals, alike but for their direction, are more than a
@@ -232,10 +239,8 @@ SPARSE __kernel void track_acceleration(__constant Frame *restrict frame, __glob
     view_velocity[cell] = packed(mover.view_velocity, 0.0f);
     if (!(past.weight > 0.0f)) return;
     float3 now = mover.velocity, was = ratio * rotate_to_target(past.velocity, frame->from_previous);
-    const float in_view = squared_length(mover.view_velocity), in_world = squared_length(mover.velocity);
-    const float share_in_view = in_view < KEEPS_UP * in_world ? 1.0f : IN_VIEW;
-    const bool carried =
-        frame->camera_fixed && in_view < in_world && (past.was_carried || (asked > 0 && all.x < share_in_view * all.y));
+    const bool carried = asked > 0 ? all.x < (is_slower_in_view(mover, KEEPS_UP) ? 1.0f : IN_VIEW) * all.y
+                                   : frame->camera_fixed && past.was_carried && is_slower_in_view(mover, 1.0f);
     if (carried) {
         now = mover.view_velocity;
         was = ratio * past.view_velocity;
