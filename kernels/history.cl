@@ -31,7 +31,8 @@
 
 #define NO_MOTION 0.001f /* px: each component of less, with rounding, is within epsilon ... */
 #define LEAST_THRESHOLD 0.01f /* ... if that is at least so much */
-#define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for */
+#define SEARCH_RADIUS 2 /* px around x' in which the right surface is looked for ... */
+#define OUTSIDE 4.0f /* ... where x' lies no farther out of the image */
 #define DEPTH_TOLERANCE 0.03f /* relative depth within which a surface is plausible for a fragment that stands ... */
 #define FIXED_MOST 0.0625f /* px by which a camera-fixed fragment may move in the image ... */
 #define FIXED_DEPTH 0.01f /* ... and relative change of its depth */
@@ -290,32 +291,47 @@ INLINE bool plausible(const float z, const float z_expected, const float toleran
     return !INVALID_DEPTH(z) && !isinf(z) && fabs(z - z_expected) <= tolerance;
 }
 
-/* Depth of the fragment's surface at px_prev in the previous frame, or -1; *nearest is the pixel that has most of
-   it. */
-INLINE float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int source_width,
-                       const int source_height, __global const float *depth_prev, int *nearest) {
-    if (!(px_prev.x > -4.0f && px_prev.y > -4.0f && px_prev.x < (float)source_width + 4.0f
-          && px_prev.y < (float)source_height + 4.0f))
-        return -1.0f;
+/* Depth of the surface that the four pixels around px_prev show in the previous frame: of the one that is closest by,
+   in place and in depth, to either of two expected depths, and of those that are alike; -1: none is within the
+   tolerance. *nearest is that pixel. */
+INLINE float depth_at(const float2 px_prev, const float z_static, const float z_own, const float tolerance,
+                      const int source_width, const int source_height, __global const float *depth_prev, int *nearest) {
     const float fx = px_prev.x - 0.5f, fy = px_prev.y - 0.5f;
     const int x0 = (int)floor(fx), y0 = (int)floor(fy);
     const float u = fx - (float)x0, v = fy - (float)y0;
-    float sum = 0.0f, weight_sum = 0.0f, heaviest = 0.0f;
+    float likeliest = 0.0f, z_met = -1.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
         if (!inside(tap_x, tap_y, source_width, source_height)) continue;
         const float z = depth_prev[tap_y * source_width + tap_x];
-        if (!plausible(z, z_expected, tolerance)) continue;
+        const float off = fmin(fabs(z - z_static), fabs(z - z_own));
+        const float likely = bilinear_weight(tap, u, v) * (tolerance - off);
+        if (INVALID_DEPTH(z) || !(likely > likeliest)) continue;
+        likeliest = likely;
+        z_met = z;
+        *nearest = tap_y * source_width + tap_x;
+    }
+    if (!(z_met > 0.0f)) return -1.0f;
+    float sum = 0.0f, weight_sum = 0.0f;
+    for (int tap = 0; tap < 4; ++tap) {
+        const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
+        if (!inside(tap_x, tap_y, source_width, source_height)) continue;
+        const float z = depth_prev[tap_y * source_width + tap_x];
+        if (!plausible(z, z_met, DEPTH_TOLERANCE * z_met)) continue;
         const float weight = bilinear_weight(tap, u, v);
         sum += weight * z;
         weight_sum += weight;
-        if (weight > heaviest) {
-            heaviest = weight;
-            *nearest = tap_y * source_width + tap_x;
-        }
     }
-    if (weight_sum > 0.0f) return divide(sum, weight_sum);
+    return divide(sum, weight_sum);
+}
 
+/* Depth of the fragment's surface in the previous frame, expected within a tolerance: at px_prev, or around it; -1:
+ * none. nearest is the pixel that has most of it. */
+INLINE float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int source_width,
+                       const int source_height, __global const float *depth_prev, int *nearest) {
+    const float z_met =
+        depth_at(px_prev, z_expected, z_expected, tolerance, source_width, source_height, depth_prev, nearest);
+    if (z_met > 0.0f) return z_met;
     const int near_x = (int)floor(px_prev.x), near_y = (int)floor(px_prev.y);
     float found = -1.0f, closest = INFINITY;
     for (int dy = -SEARCH_RADIUS; dy <= SEARCH_RADIUS; ++dy)
@@ -334,7 +350,10 @@ INLINE float depth_met(const float2 px_prev, const float z_expected, const float
 
     /* A surface that comes straight towards the camera: its depth changes without sideways motion. Believed where all
        four taps agree among themselves, so that x' cannot have slipped off an edge. */
-    float low = INFINITY, high = -INFINITY;
+    const float fx = px_prev.x - 0.5f, fy = px_prev.y - 0.5f;
+    const int x0 = (int)floor(fx), y0 = (int)floor(fy);
+    const float u = fx - (float)x0, v = fy - (float)y0;
+    float low = INFINITY, high = -INFINITY, sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
         if (!inside(tap_x, tap_y, source_width, source_height)) return -1.0f;
@@ -368,14 +387,16 @@ INLINE void find_history(const int src_x, const int src_y, __constant Frame *fra
     const float3 px_static = reproject(pixel_center(src_x, src_y), z, to_previous);
     int known = 0; /* how many of P_1 ... are known */
     f.met_depth[src] = 0.0f;
-    if (isfinite(mv_px.x) && isfinite(mv_px.y)) {
+    if (px_prev.x > -OUTSIDE && px_prev.y > -OUTSIDE && px_prev.x < (float)source_width + OUTSIDE
+        && px_prev.y < (float)frame->source_height + OUTSIDE) {
         const float sideways = (fabs(px_prev.x - px_static.x) + fabs(px_prev.y - px_static.y))
                                * from_previous.source_inverse.x * px_static.z;
         const float tolerance = DEPTH_TOLERANCE * px_static.z + DEPTH_PER_MOTION * sideways;
         int nearest = 0;
-        /* At the depth of a static or sideways moving point; else at its own, as of objects that travel with the
-           camera. */
-        float z_prev = -1.0f;
+        /* At that of a static point or at its own, as of objects that travel with the camera, whichever is closer by;
+           else at the depth of a point that moves sideways; else around, at its own. */
+        float z_prev = depth_at(px_prev, px_static.z, frame->camera_fixed ? z : px_static.z, DEPTH_TOLERANCE * z,
+                                source_width, frame->source_height, f.depth_prev, &nearest);
 #pragma unroll 1
         for (int own = 0; own <= frame->camera_fixed && !(z_prev > 0.0f); ++own) {
             const float expected = own ? z : px_static.z;

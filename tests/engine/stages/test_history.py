@@ -255,6 +255,19 @@ def test_an_object_coming_straight_at_the_camera(device, approach):
     assert out.numpy("depth")[H // 2, W // 2 + 11] == pytest.approx(expected, rel=0.01)
 
 
+def test_depth_met_at_edges_is_of_one_surface(device):
+    """A board that moves quickly before a wall that is plausible for it, too: between their pixels, the depth met is its
+    own."""
+    cam = camera(W, H)
+    pipeline = Pipeline(device, W, H)
+    board = Rect((-2, 0, 8), (1, 0.8), velocity=(10.3 * 30 * 8 / cam.fx, 0, 0))
+    world = Rects([Rect((0, 0, 8.6), frequency=0.3), board])
+    for k in range(3):
+        pipeline.submit(world.frame(cam, k / 30, W, H, (cam, max(k - 1, 0) / 30), reset=k == 0))
+    moves = pipeline.stages["history"].read("dynamic_mask") == 1
+    assert moves.sum() > 100 and np.allclose(pipeline.stages["history"].read("met_depth")[moves], 8, atol=1e-4)
+
+
 def test_motion_onto_another_surface_means_no_motion(device):
     """Where the motion vector meets no plausible surface, the fragment is dynamic; the paper leaves it where it is."""
     cam = camera(W, H)

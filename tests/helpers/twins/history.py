@@ -154,6 +154,38 @@ def static_threshold(depth, motion, to_previous, steps=EXACT):
     return F(epsilon), F(0.5 * (added + 1)) * steps, found
 
 
+def _taps(px, shape):
+    """Yield (y, x, weight) of the four pixels around a place that are in the image."""
+    fx, fy = px[0] - F(0.5), px[1] - F(0.5)
+    x0, y0 = int(np.floor(fx)), int(np.floor(fy))
+    u, v = fx - F(x0), fy - F(y0)
+    for tap in range(4):
+        y, x = y0 + (tap >> 1), x0 + (tap & 1)
+        if 0 <= x < shape[1] and 0 <= y < shape[0]:
+            yield y, x, (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
+
+
+def _depth_at(px, expected, tolerance, depth_prev):
+    """Return the depth of the surface around a place that is closest to one of the expected depths: (depth or −1, index
+    of the pixel that is closest)."""
+    likeliest, met, nearest = F(0), F(-1), 0
+    for y, x, weight in _taps(px, depth_prev.shape):
+        z = depth_prev[y, x]
+        if not z > 0 or np.isinf(z):
+            continue
+        likely = weight * (tolerance - min(abs(z - e) for e in expected))
+        if likely > likeliest:
+            likeliest, met, nearest = likely, z, y * depth_prev.shape[1] + x
+    if not met > 0:
+        return met, nearest
+    total = weights = F(0)
+    for y, x, weight in _taps(px, depth_prev.shape):
+        z = depth_prev[y, x]
+        if z > 0 and not np.isinf(z) and abs(z - met) <= F(HISTORY.DEPTH_TOLERANCE) * met:
+            total, weights = total + weight * z, weights + weight
+    return total / weights, nearest
+
+
 def _depth_met(px, expected, tolerance, depth_prev):
     """Return one fragment's depth in the previous frame: (depth or −1, index of the pixel used)."""
     height, width = depth_prev.shape
@@ -161,24 +193,9 @@ def _depth_met(px, expected, tolerance, depth_prev):
     def plausible(z):
         return z > 0 and not np.isinf(z) and abs(z - expected) <= tolerance
 
-    if not (-4 < px[0] < width + 4 and -4 < px[1] < height + 4):
-        return F(-1), 0
-    fx, fy = px[0] - F(0.5), px[1] - F(0.5)
-    x0, y0 = int(np.floor(fx)), int(np.floor(fy))
-    u, v = fx - F(x0), fy - F(y0)
-    total = weights = heaviest = F(0)
-    nearest = 0
-    for tap in range(4):
-        x, y = x0 + (tap & 1), y0 + (tap >> 1)
-        if not (0 <= x < width and 0 <= y < height) or not plausible(depth_prev[y, x]):
-            continue
-        weight = (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-        total = total + weight * depth_prev[y, x]
-        weights = weights + weight
-        if weight > heaviest:
-            heaviest, nearest = weight, y * width + x
-    if weights > 0:
-        return total / weights, nearest
+    met, nearest = _depth_at(px, [expected], tolerance, depth_prev)
+    if met > 0:
+        return met, nearest
     found, closest = F(-1), INF
     xc, yc = int(np.floor(px[0])), int(np.floor(px[1]))
     around = range(-HISTORY.SEARCH_RADIUS, HISTORY.SEARCH_RADIUS + 1)
@@ -192,18 +209,19 @@ def _depth_met(px, expected, tolerance, depth_prev):
                 closest, found, nearest = distance, depth_prev[y, x], y * width + x
     if found > 0:
         return found, nearest
-    taps = []
-    for tap in range(4):
-        x, y = x0 + (tap & 1), y0 + (tap >> 1)
-        if not (0 <= x < width and 0 <= y < height):
-            return F(-1), nearest
-        z = depth_prev[y, x]
-        if not (z > 0 and not np.isinf(z) and abs(z - expected) <= HISTORY.DEPTH_CHANGE_MOST * expected):
-            return F(-1), nearest
-        taps.append(z)
-        total = total + (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v) * z
+    taps = list(_taps(px, depth_prev.shape))
+    depths = [depth_prev[y, x] for y, x, _ in taps]
+    if len(taps) < 4 or not all(
+        z > 0 and not np.isinf(z) and abs(z - expected) <= HISTORY.DEPTH_CHANGE_MOST * expected for z in depths
+    ):
+        return F(-1), nearest
+    total = F(0)
+    for (_, _, weight), z in zip(taps, depths, strict=True):
+        total = total + weight * z
+    y0, x0, _ = taps[0]
+    u, v = px[0] - F(0.5) - F(x0), px[1] - F(0.5) - F(y0)
     nearest = (y0 + (v >= 0.5)) * width + x0 + (u >= 0.5)
-    return (total if max(taps) - min(taps) <= HISTORY.DEPTH_TOLERANCE * min(taps) else F(-1)), nearest
+    return (total if max(depths) - min(depths) <= HISTORY.DEPTH_TOLERANCE * min(depths) else F(-1)), nearest
 
 
 def fixed_to_camera(depth, motion, moves, z_static, to_previous, depth_prev):
@@ -237,7 +255,7 @@ def track_history(
     """Algorithm 1; `depth_prev` None after a reset; `error`: of quantization. Returns dynamic mask (H, W), the depth
     met (H, W) and history (k−1, H, W, 4), 0 where static."""
     height, width = depth.shape
-    px = centers(height, width)
+    px, outside = centers(height, width), F(HISTORY.OUTSIDE)
     p0 = unproject(px, depth, to_previous[4])
     dynamic = np.zeros((height, width), np.uint8)
     met_depth = np.zeros((height, width), F)
@@ -257,9 +275,13 @@ def track_history(
         px_prev, at = px[y, x] + motion[y, x], where[y, x]
         sideways = (abs(px_prev[0] - at[0]) + abs(px_prev[1] - at[1])) * from_previous[4, 0] * at[2]
         tolerance = HISTORY.DEPTH_TOLERANCE * at[2] + HISTORY.DEPTH_PER_MOTION * sideways
-        z_prev, nearest = _depth_met(px_prev, at[2], tolerance, depth_prev) if at[2] > 0 else (F(-1), 0)
-        if camera_fixed and not z_prev > 0:  # it may travel with the camera
-            z, own = depth[y, x], F(HISTORY.DEPTH_TOLERANCE) * depth[y, x]
+        if not (-outside < px_prev[0] < width + outside and -outside < px_prev[1] < height + outside):
+            continue
+        z, own = depth[y, x], F(HISTORY.DEPTH_TOLERANCE) * depth[y, x]
+        z_prev, nearest = _depth_at(px_prev, [at[2], z] if camera_fixed else [at[2]], own, depth_prev)
+        if not z_prev > 0 and at[2] > 0:
+            z_prev, nearest = _depth_met(px_prev, at[2], tolerance, depth_prev)
+        if not z_prev > 0 and camera_fixed:  # it may travel with the camera
             z_prev, nearest = _depth_met(px_prev, z, own, depth_prev)
         if not z_prev > 0:
             continue
