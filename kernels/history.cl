@@ -325,8 +325,8 @@ INLINE float depth_at(const float2 px_prev, const float z_static, const float z_
     return divide(sum, weight_sum);
 }
 
-/* Depth of the fragment's surface in the previous frame, expected within a tolerance: at px_prev, or around it; -1:
- * none. nearest is the pixel that has most of it. */
+/* Depth of the fragment's surface in the previous frame at px_prev, or around it, where one is as expected within a
+   tolerance; else -1. The pixel that has most of it is *nearest. */
 INLINE float depth_met(const float2 px_prev, const float z_expected, const float tolerance, const int source_width,
                        const int source_height, __global const float *depth_prev, int *nearest) {
     const float z_met =
