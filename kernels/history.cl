@@ -291,9 +291,8 @@ INLINE bool plausible(const float z, const float z_expected, const float toleran
     return !INVALID_DEPTH(z) && !isinf(z) && fabs(z - z_expected) <= tolerance;
 }
 
-/* Depth of the surface that the four pixels around px_prev show in the previous frame: of the one that is closest by,
-   in place and in depth, to either of two expected depths, and of those that are alike; -1: none is within the
-   tolerance. *nearest is that pixel. */
+/* Depth of the surface around px_prev in the previous frame: of four pixels, the likeliest by place and by either of
+   two expected depths, with those alike; -1 where none is within the tolerance. That pixel is *nearest. */
 INLINE float depth_at(const float2 px_prev, const float z_static, const float z_own, const float tolerance,
                       const int source_width, const int source_height, __global const float *depth_prev, int *nearest) {
     const float fx = px_prev.x - 0.5f, fy = px_prev.y - 0.5f;

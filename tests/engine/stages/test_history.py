@@ -256,8 +256,7 @@ def test_an_object_coming_straight_at_the_camera(device, approach):
 
 
 def test_depth_met_at_edges_is_of_one_surface(device):
-    """A board that moves quickly before a wall that is plausible for it, too: between their pixels, the depth met is its
-    own."""
+    """A board moves quickly before a wall that is plausible for it, too: between their pixels, its own depth is met."""
     cam = camera(W, H)
     pipeline = Pipeline(device, W, H)
     board = Rect((-2, 0, 8), (1, 0.8), velocity=(10.3 * 30 * 8 / cam.fx, 0, 0))
