@@ -67,7 +67,7 @@ def blender_layers(shot, layer="ViewLayer", data="Data"):
     """Return Layer.Pass → component → (H, W), as Cycles has them: y up, 1e10 for nothing, vectors into both
     directions."""
     color = dict(zip("RGB", np.moveaxis(shot.color, -1, 0), strict=True))
-    found = {f"{layer}.Combined": {**color, "A": np.ones((H, W), np.float16)}}
+    found = {f"{layer}.Combined": {**color, "A": np.ones_like(color["R"])}}
     if shot.kind == "rendered":
         found[f"{layer}.Noisy Image"] = {n: c * 0 for n, c in color.items()}
         found[f"{data}.Depth"] = {"Z": np.where(np.isinf(shot.depth), np.float32(1e10), shot.depth)}
@@ -90,7 +90,8 @@ def write_blender(folder, frames, multi_part=True, first=0, rename=lambda layers
         else:
             write_exr(folder / file, {n: a for passes in named.values() for n, a in passes.items()})
         described.append(blender_frame(index, file, shot.kind, shot.time, shot.camera))
-    document = {"width": W, "height": H, "frames": described}
+    height, width = frames[0].depth.shape
+    document = {"width": width, "height": height, "frames": described}
     (folder / "cameras.json").write_text(json.dumps(document))
     return folder
 

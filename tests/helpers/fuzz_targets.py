@@ -20,7 +20,8 @@ from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
-import OpenEXR
+from foreign import Shot, write_blender
+from foreign_sets import write_sintel, write_spring, write_tartanair, write_unreal
 from PIL import Image
 
 from gffe_cl import Camera, GffeError, Pipeline, attach, open_capture, open_device
@@ -49,16 +50,11 @@ def seen():
     return frames(W, H, count=COUNT, samples=1)
 
 
-# ---- valid captures, one of each form ----------------------------
+# ---- valid captures, one of each form: writers return the folder that is opened ----------------------------
 
 
-def exr(path, channels, **header):
-    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage, **header}
-    OpenEXR.File(header, {name: np.ascontiguousarray(c) for name, c in channels.items()}).write(str(path))
-
-
-def rgb(frame):
-    return dict(zip("RGB", np.moveaxis(frame.color, -1, 0), strict=True))
+def shots():
+    return [Shot(f.time, "rendered", f.color, f.depth, f.motion, f.camera) for f in seen()]
 
 
 def write_sequence(folder):
@@ -99,98 +95,23 @@ def write_folder(folder):
     return folder
 
 
-def write_blender(folder):
-    described = []
-    for k, frame in enumerate(seen()):
-        channels = {f"ViewLayer.Combined.{c}": plane for c, plane in rgb(frame).items()}
-        channels |= {"ViewLayer.Depth.Z": frame.depth, "ViewLayer.Combined.A": np.ones_like(frame.depth)}
-        x, y = np.moveaxis(frame.motion, -1, 0)
-        channels |= {f"ViewLayer.Vector.{c}": plane for c, plane in zip("XYZW", (x, -y, x, y), strict=True)}
-        exr(folder / f"frame_{k:04d}.exr", channels)
-        camera = dict(zip(("fx", "fy", "cx", "cy"), frame.camera.intrinsics, strict=True))
-        entry = {"frame": k, "file": f"frame_{k:04d}.exr", "kind": "rendered", "time": frame.time}
-        described.append(entry | camera | {"world_to_camera": frame.camera.world_to_view.tolist()})
-    (folder / "cameras.json").write_text(json.dumps({"width": W, "height": H, "frames": described}))
-    return folder
-
-
-def write_unreal(folder):
-    for k, frame in enumerate(seen()):
-        texts = {f"curPos/{axis}": 10.0 * k for axis in "xyz"} | {
-            f"curRot/{a}": 1.0 * k for a in ("pitch", "yaw", "roll")
-        }
-        header = {f"unreal/camera/{name}": f"{value:.6f}" for name, value in texts.items()}
-        channels = rgb(frame) | {"A": np.ones_like(frame.depth)}
-        depth = np.minimum(frame.depth * 100, 1e8).astype(np.float32)
-        channels |= {f"FinalImageMovieRenderQueue_WorldDepth.{c}": depth for c in "RGB"}
-        moved = np.dstack([frame.motion / (W, H), np.zeros((H, W))]).astype(np.float32) * 0.5 + 0.5
-        channels |= {f"FinalImageMovieRenderQueue_MotionVectors.{c}": moved[..., i] for i, c in enumerate("RGB")}
-        exr(folder / f"Shot.{k:04d}.exr", channels, **header, **{"unreal/camera/FinalImage/fov": "70.0"})
-    return folder
-
-
-def write_sintel(root):
-    tag = struct.pack("<f", 202021.25)
-    size = tag + struct.pack("<ii", W, H)
-    for name in ("final", "flow", "depth", "camdata_left"):
-        (root / name / "alley_1").mkdir(parents=True)
-    for k, frame in enumerate(seen(), 1):
-        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
-        Image.fromarray(color).save(root / "final" / "alley_1" / f"frame_{k:04d}.png")
-        depth = np.minimum(frame.depth, 1e10).astype("<f4")
-        (root / "depth" / "alley_1" / f"frame_{k:04d}.dpt").write_bytes(size + depth.tobytes())
-        fx, fy, cx, cy = frame.camera.intrinsics
-        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1, *frame.camera.world_to_view[:3].ravel()], "<f8")
-        (root / "camdata_left" / "alley_1" / f"frame_{k:04d}.cam").write_bytes(tag + numbers.tobytes())
-        (root / "flow" / "alley_1" / f"frame_{k:04d}.flo").write_bytes(size + frame.motion.astype("<f4").tobytes())
-    return root / "final" / "alley_1"
-
-
-def write_tartanair(root):
-    for name in ("image_left", "depth_left", "flow"):
-        (root / name).mkdir()
-    for k, frame in enumerate(seen()):
-        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
-        Image.fromarray(color).save(root / "image_left" / f"{k:06d}_left.png")
-        np.save(root / "depth_left" / f"{k:06d}_left_depth.npy", np.minimum(frame.depth, 1e4))
-        np.save(root / "flow" / f"{k:06d}_{k + 1:06d}_flow.npy", frame.motion)
-    (root / "pose_left.txt").write_text("".join(f"{k} 0.1 0 0 0 0 1\n" for k in range(COUNT)))
-    return root
-
-
-def write_spring(root):
-    import h5py
-
-    for name in ("frame_left", "disp1_left", "flow_BW_left", "cam_data"):
-        (root / name).mkdir()
-    intrinsics, extrinsics = [], []
-    for k, frame in enumerate(seen(), 1):
-        color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
-        Image.fromarray(color).save(root / "frame_left" / f"frame_left_{k:04d}.png")
-        with h5py.File(root / "disp1_left" / f"disp1_left_{k:04d}.dsp5", "w") as file:
-            disparity = np.repeat(np.repeat(1 / np.minimum(frame.depth, 1e3), 2, 0), 2, 1)
-            file.create_dataset("disparity", data=disparity.astype(np.float32), compression="gzip")
-        with h5py.File(root / "flow_BW_left" / f"flow_BW_left_{k:04d}.flo5", "w") as file:
-            file.create_dataset("flow", data=np.repeat(np.repeat(frame.motion, 2, 0), 2, 1), compression="gzip")
-        intrinsics.append(" ".join(map(str, frame.camera.intrinsics)))
-        extrinsics.append(" ".join(map(str, frame.camera.world_to_view.ravel())))
-    (root / "cam_data" / "intrinsics.txt").write_text("\n".join(intrinsics) + "\n")
-    (root / "cam_data" / "extrinsics.txt").write_text("\n".join(extrinsics) + "\n")
-    return root
-
-
 WRITERS = {
-    "sequence": write_sequence, "encoded": write_encoded, "folder": write_folder, "blender": write_blender,
-    "unreal": write_unreal, "sintel": write_sintel, "tartanair": write_tartanair,
-    **({"spring": write_spring} if find_spec("h5py") else {}),
-}  # fmt: skip
+    "sequence": write_sequence,
+    "encoded": write_encoded,
+    "folder": write_folder,
+    "blender": lambda folder: write_blender(folder, shots(), multi_part=False, data="ViewLayer"),
+    "unreal": lambda folder: write_unreal(folder, shots()) and folder,
+    "sintel": lambda folder: write_sintel(folder, shots()),
+    "tartanair": lambda folder: write_tartanair(folder, shots()) and folder,
+    **({"spring": lambda folder: write_spring(folder, shots()) or folder} if find_spec("h5py") else {}),
+}
 # Which file of each form is mutated, below the folder that the writer gets.
 FILES = {
     "sequence": ("sequence.json", "frame_1.exr"),
     "encoded": ("sequence.json", "frame_1.exr"),
     "folder": ("sequence.json", "color_1.png", "depth_1.npy", "motion_1.npz"),
     "blender": ("cameras.json", "frame_0001.exr"),
-    "unreal": ("Shot.0001.exr",),
+    "unreal": ("Shot.0018.exr",),
     "sintel": (
         "depth/alley_1/frame_0001.dpt", "flow/alley_1/frame_0001.flo", "camdata_left/alley_1/frame_0001.cam",
         "final/alley_1/frame_0001.png",

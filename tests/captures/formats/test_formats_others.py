@@ -6,17 +6,10 @@ import numpy as np
 import pytest
 from folder_captures import rendered
 from foreign import H, W, write_exr
-from PIL import Image
+from foreign_sets import write_sintel, write_spring, write_tartanair, write_unreal
 
-from gffe_cl import Camera, GffeError, open_capture
+from gffe_cl import GffeError, open_capture
 from gffe_cl.captures.formats.motion_conversion import static_motion
-
-HERE = np.stack(np.meshgrid(np.arange(W) + 0.5, np.arange(H) + 0.5), -1)
-
-
-def flow_to(shot, after):
-    """Of what stands still in `shot`, to where it is in `after`."""
-    return static_motion(shot.depth, shot.camera, after.camera)[0].astype(np.float32)
 
 
 def same_pose(camera, expected, atol=1e-5):
@@ -27,65 +20,12 @@ def same_pose(camera, expected, atol=1e-5):
 # Unreal
 
 
-def unreal_camera(shot, pitch, yaw, roll):
-    """Location and rotation, from rotations about axes one after another: yaw about z, pitch about y, roll about x."""
-    p, y, r = np.radians([pitch, yaw, roll])
-    about_z = np.array([[np.cos(y), -np.sin(y), 0], [np.sin(y), np.cos(y), 0], [0, 0, 1]])
-    about_y = np.array([[np.cos(p), 0, -np.sin(p)], [0, 1, 0], [np.sin(p), 0, np.cos(p)]])
-    about_x = np.array([[1, 0, 0], [0, np.cos(r), np.sin(r)], [0, -np.sin(r), np.cos(r)]])
-    return about_z @ about_y @ about_x  # columns: forward, right, up
-
-
-def unreal_shots():
-    """The scene's frames as an Unreal camera would have seen them: its poses in centimeters, in a left-handed world."""
-    fov = 2 * np.degrees(np.arctan(W / 2 / 70.0))
-    made = []
-    for k, shot in enumerate(rendered()):
-        angles, location = (3 - k, 20 + 2.0 * k, 1.5 * k), np.array([100 + 9 * k, -50 + 5 * k, 170 - 3 * k])
-        axes = unreal_camera(shot, *angles)
-        view = np.eye(4)
-        view[:3, :3] = (axes[:, 1], -axes[:, 2], axes[:, 0])
-        view[:3, 3] = -view[:3, :3] @ location
-        camera = Camera(view, 70, 70, W / 2, H / 2)
-        made.append((shot, angles, location, fov, camera, shot.depth * 100))
-    return made
-
-
-def write_unreal(folder, scale=2.0, along_rays=False, prefix="unreal/camera/", layers="", half=False, still=False):
-    frames = unreal_shots()
-    if still:
-        frames = [frames[0]] * 3
-    for k, (shot, angles, location, fov, camera, depth) in enumerate(frames):
-        texts = dict(zip(("curRot/pitch", "curRot/yaw", "curRot/roll"), angles, strict=True))
-        texts |= dict(zip(("curPos/x", "curPos/y", "curPos/z"), location, strict=True))
-        header = {prefix + name: f"{value:.9f}" for name, value in texts.items()}
-        header[f"{prefix}FinalImage/fov" if "camera" in prefix else f"{prefix}fov"] = f"{fov:.9f}"
-        motion = np.zeros((H, W, 2))
-        if k:
-            motion = np.nan_to_num(static_motion(depth, camera, frames[k - 1][4])[0])
-        stretch = np.linalg.norm(np.concatenate([(HERE - (W / 2, H / 2)) / 70, np.ones((H, W, 1))], -1), axis=-1)
-        depth = np.where(np.isinf(depth), 1e8, depth) * (stretch if along_rays else 1)
-        kind = np.float16 if half else np.float32
-        channels = {f"{layers}{c}": shot.color[..., i] for i, c in enumerate("RGB")} | {
-            f"{layers}A": shot.color[..., 0]
-        }
-        for c in "RGB":
-            channels[f"FinalImageMovieRenderQueue_WorldDepth.{c}"] = np.minimum(depth, 65504 if half else 1e9).astype(
-                kind
-            )
-        channels["FinalImageMovieRenderQueue_MotionVectors.R"] = (0.5 - motion[..., 0] / scale / W).astype(np.float32)
-        channels["FinalImageMovieRenderQueue_MotionVectors.G"] = (0.5 + motion[..., 1] / scale / H).astype(np.float32)
-        channels["FinalImageMovieRenderQueue_MotionVectors.B"] = np.zeros((H, W), np.float32)
-        write_exr(folder / f"Shot.{k + 17:04d}.exr", channels, **header)
-    return frames
-
-
 @pytest.mark.parametrize("prefix", ["unreal/camera/", "unreal/layerData/rgba/"])
 @pytest.mark.parametrize("along_rays", [False, True])
 @pytest.mark.parametrize("scale", [2.0, 1.0])
 def test_unreal(tmp_path, scale, along_rays, prefix):
     """Whatever the factor of the motion vectors, and whatever depth is: what stands still tells."""
-    frames = write_unreal(tmp_path, scale, along_rays, prefix, "" if along_rays else "FinalImage.")
+    frames = write_unreal(tmp_path, rendered(), scale, along_rays, prefix, "" if along_rays else "FinalImage.")
     sequence = open_capture(tmp_path)
     assert len(sequence.rendered) == 3 and sequence.rendered[1].file == "Shot.0018.exr"
     assert any("scale of 1" in text for text in sequence.warnings()) == (scale == 1)
@@ -103,7 +43,7 @@ def test_unreal(tmp_path, scale, along_rays, prefix):
 
 
 def test_unreal_in_half_without_motion_and_with_gaps(tmp_path):
-    write_unreal(tmp_path, half=True, still=True)
+    write_unreal(tmp_path, [rendered()[0]] * 3, half=True)
     (tmp_path / "Shot.0018.exr").rename(tmp_path / "Shot.0021.exr")
     sequence = open_capture(tmp_path)
     assert [entry.reset for entry in sequence.rendered] == [True, True, True]
@@ -113,7 +53,7 @@ def test_unreal_in_half_without_motion_and_with_gaps(tmp_path):
 
 
 def test_unreal_faults(tmp_path):
-    write_unreal(tmp_path)
+    write_unreal(tmp_path, rendered())
     (tmp_path / "Other.0001.exr").write_bytes((tmp_path / "Shot.0017.exr").read_bytes())
     with pytest.raises(GffeError, match="several shots"):
         open_capture(tmp_path)
@@ -125,13 +65,6 @@ def test_unreal_faults(tmp_path):
 
 
 # Data sets
-
-
-def srgb_png(path, color):
-    linear = np.clip(np.float64(color), 0, 1)
-    shown = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
-    path.parent.mkdir(parents=True, exist_ok=True)
-    Image.fromarray((shown * 255).round().astype(np.uint8)).save(path)
 
 
 def as_rendered(sequence, frames, cameras):
@@ -148,32 +81,14 @@ def as_rendered(sequence, frames, cameras):
             assert np.percentile(off, 97) < 0.05 and np.linalg.norm(expected, axis=-1).max() > 2
 
 
-def write_sintel(root):
-    frames, tag = rendered(), struct.pack("<f", 202021.25)
-    for name in ("flow", "depth", "camdata_left"):
-        (root / name / "alley_1").mkdir(parents=True)
-    for k, shot in enumerate(frames, 1):
-        srgb_png(root / "final" / "alley_1" / f"frame_{k:04d}.png", shot.color)
-        size = tag + struct.pack("<ii", W, H)
-        depth = np.where(np.isinf(shot.depth), 1e10, shot.depth).astype("<f4")
-        (root / "depth" / "alley_1" / f"frame_{k:04d}.dpt").write_bytes(size + depth.tobytes())
-        fx, fy, cx, cy = shot.camera.intrinsics
-        numbers = np.array([fx, 0, cx, 0, fy, cy, 0, 0, 1, *shot.camera.world_to_view[:3].ravel()], "<f8")
-        (root / "camdata_left" / "alley_1" / f"frame_{k:04d}.cam").write_bytes(tag + numbers.tobytes())
-        if k < len(frames):
-            flow = flow_to(shot, frames[k]).astype("<f4")
-            (root / "flow" / "alley_1" / f"frame_{k:04d}.flo").write_bytes(size + flow.tobytes())
-    return root / "final" / "alley_1"
-
-
 def test_sintel(tmp_path):
-    sequence = open_capture(write_sintel(tmp_path))
+    sequence = open_capture(write_sintel(tmp_path, rendered()))
     as_rendered(sequence, rendered(), [shot.camera for shot in rendered()])
     assert sequence.fps == 24
 
 
 def test_sintel_faults(tmp_path):
-    folder = write_sintel(tmp_path)
+    folder = write_sintel(tmp_path, rendered())
     cut = tmp_path / "depth" / "alley_1" / "frame_0002.dpt"
     whole = cut.read_bytes()
     for data, words in (
@@ -212,7 +127,7 @@ def renumbered(root, names):
 
 @pytest.mark.parametrize("names", [("9", "10", "11"), ("-1", "0", "1"), ("-001", "0000", "0001"), ("08", "9", "010")])
 def test_sintel_is_sorted_by_number(tmp_path, names):
-    folder = write_sintel(tmp_path)
+    folder = write_sintel(tmp_path, rendered())
     renumbered(tmp_path, names)
     sequence = open_capture(folder)
     as_rendered(sequence, rendered(), [shot.camera for shot in rendered()])
@@ -222,7 +137,7 @@ def test_sintel_is_sorted_by_number(tmp_path, names):
 
 def test_sintel_with_a_frame_missing(tmp_path):
     """The flow of the frame before it leads to nothing that is there, and the time goes on."""
-    folder = write_sintel(tmp_path)
+    folder = write_sintel(tmp_path, rendered())
     renumbered(tmp_path, ("0004", "0006", "0007"))
     sequence = open_capture(folder)
     assert [entry.reset for entry in sequence.rendered] == [True, True, False]
@@ -236,7 +151,7 @@ def test_sintel_with_a_frame_missing(tmp_path):
 
 
 def test_hidden_files_are_no_frames_and_endings_may_be_in_capitals(tmp_path):
-    folder = write_sintel(tmp_path)
+    folder = write_sintel(tmp_path, rendered())
     (folder / "._frame_0001.png").write_bytes(b"of another system")
     for place, ending in (
         (folder, "png"),
@@ -249,7 +164,7 @@ def test_hidden_files_are_no_frames_and_endings_may_be_in_capitals(tmp_path):
 
 
 def test_one_number_twice_is_refused(tmp_path):
-    folder = write_sintel(tmp_path)
+    folder = write_sintel(tmp_path, rendered())
     (folder / "frame_1.png").write_bytes((folder / "frame_0001.png").read_bytes())
     with pytest.raises(GffeError, match=r"frame_1.png: frame 1 like frame_0001.png \(expected one file for a frame\)"):
         open_capture(folder)
@@ -257,7 +172,7 @@ def test_one_number_twice_is_refused(tmp_path):
 
 @pytest.mark.parametrize("names", [("9", "10", "11"), ("-1", "0", "1"), ("-0001", "0000", "0001")])
 def test_unreal_is_sorted_by_number(tmp_path, names):
-    frames = write_unreal(tmp_path)
+    frames = write_unreal(tmp_path, rendered())
     for number, name in zip((17, 18, 19), names, strict=True):
         (tmp_path / f"Shot.{number:04d}.exr").rename(tmp_path / f"Shot.{name}.EXR")
     (tmp_path / "._Shot.0001.exr").write_bytes(b"of another system")
@@ -272,26 +187,8 @@ def test_unreal_is_sorted_by_number(tmp_path, names):
     assert any(f"frame {int(names[1])} is missing" in text for text in sequence.notes)
 
 
-def write_tartanair(tmp_path):
-    """The folder of a trajectory, and its cameras."""
-    frames, poses = rendered(), []
-    for name in ("depth_left", "flow"):
-        (tmp_path / name).mkdir()
-    cameras = [Camera(shot.camera.world_to_view, 320, 320, W / 2, H / 2) for shot in frames]
-    for k, shot in enumerate(frames):
-        srgb_png(tmp_path / "image_left" / f"{k:06d}_left.png", shot.color)
-        np.save(tmp_path / "depth_left" / f"{k:06d}_left_depth.npy", np.where(np.isinf(shot.depth), 2e4, shot.depth))
-        if k + 1 < len(frames):
-            flow = static_motion(shot.depth, cameras[k], cameras[k + 1])[0]
-            np.save(tmp_path / "flow" / f"{k:06d}_{k + 1:06d}_flow.npy", np.float32(flow))
-        right, down, forward = cameras[k].world_to_view[:3, :3]
-        poses.append([*cameras[k].position, *quaternion(np.stack([forward, right, down], -1))])
-    np.savetxt(tmp_path / "pose_left.txt", poses, fmt="%.12f")
-    return cameras
-
-
 def test_tartanair(tmp_path):
-    frames, cameras = rendered(), write_tartanair(tmp_path)
+    frames, cameras = rendered(), write_tartanair(tmp_path, rendered())
     sequence = open_capture(tmp_path)
     for k, entry in enumerate(sequence.rendered):
         same_pose(entry.render_camera, cameras[k])
@@ -307,7 +204,7 @@ def test_tartanair(tmp_path):
 
 
 def test_poses_of_tartanair_belong_to_numbers(tmp_path):
-    cameras = write_tartanair(tmp_path)
+    cameras = write_tartanair(tmp_path, rendered())
     poses = (tmp_path / "pose_left.txt").read_text()
     for path in (*tmp_path.rglob("000001_left*"), *tmp_path.rglob("000001_000002_flow.npy")):
         path.unlink()
@@ -323,7 +220,7 @@ def test_poses_of_tartanair_belong_to_numbers(tmp_path):
 
 def test_poses_of_tartanair_that_were_cut_with_the_images(tmp_path):
     """As many lines as frames, whose numbers do not begin at 0."""
-    cameras = write_tartanair(tmp_path)
+    cameras = write_tartanair(tmp_path, rendered())
     for k in (2, 1, 0):
         for path in (*tmp_path.rglob(f"{k:06d}_left*"), *tmp_path.rglob(f"{k:06d}_0*_flow.npy")):
             name = path.name.replace(f"{k + 1:06d}", f"{k + 101:06d}").replace(f"{k:06d}", f"{k + 100:06d}")
@@ -334,41 +231,11 @@ def test_poses_of_tartanair_that_were_cut_with_the_images(tmp_path):
         same_pose(entry.render_camera, camera)
 
 
-def quaternion(matrix):
-    """x, y, z, w of a rotation: the eigenvector that the rotation's own quaternion matrix has."""
-    m = matrix
-    k = np.array(
-        [
-            [m[0, 0] - m[1, 1] - m[2, 2], m[1, 0] + m[0, 1], m[2, 0] + m[0, 2], m[2, 1] - m[1, 2]],
-            [m[1, 0] + m[0, 1], m[1, 1] - m[0, 0] - m[2, 2], m[2, 1] + m[1, 2], m[0, 2] - m[2, 0]],
-            [m[2, 0] + m[0, 2], m[2, 1] + m[1, 2], m[2, 2] - m[0, 0] - m[1, 1], m[1, 0] - m[0, 1]],
-            [m[2, 1] - m[1, 2], m[0, 2] - m[2, 0], m[1, 0] - m[0, 1], m[0, 0] + m[1, 1] + m[2, 2]],
-        ]
-    )
-    return np.linalg.eigh(k)[1][:, -1]
-
-
 @pytest.mark.parametrize("inverted", [False, True])
 def test_spring(tmp_path, inverted):
-    h5py = pytest.importorskip("h5py", reason="no h5py")
-    frames, intrinsics, extrinsics = rendered(), [], []
-    for name in ("disp1_left", "flow_BW_left", "cam_data"):
-        (tmp_path / name).mkdir()
-    for k, shot in enumerate(frames, 1):
-        srgb_png(tmp_path / "frame_left" / f"frame_left_{k:04d}.png", shot.color)
-        disparity = np.float32(shot.camera.fx * 0.065 / shot.depth)
-        stored = [(tmp_path / "disp1_left" / f"disp1_left_{k:04d}.dsp5", "disparity", disparity)]
-        if k > 1:
-            flow = flow_to(shot, frames[k - 2])
-            stored.append((tmp_path / "flow_BW_left" / f"flow_BW_left_{k:04d}.flo5", "flow", flow))
-        for path, name, array in stored:
-            with h5py.File(path, "w") as file:
-                file[name] = array.repeat(2, 0).repeat(2, 1)
-        intrinsics.append(shot.camera.intrinsics)
-        matrix = shot.camera.world_to_view
-        extrinsics.append((np.linalg.inv(matrix) if inverted else matrix).ravel())
-    np.savetxt(tmp_path / "cam_data" / "intrinsics.txt", intrinsics)
-    np.savetxt(tmp_path / "cam_data" / "extrinsics.txt", extrinsics)
+    pytest.importorskip("h5py", reason="no h5py")
+    frames = rendered()
+    write_spring(tmp_path, frames, inverted)
     sequence = open_capture(tmp_path)
     as_rendered(sequence, frames, [shot.camera for shot in frames])
     for folder in ("frame_left", "disp1_left", "flow_BW_left"):
