@@ -2,10 +2,9 @@
 
     python docs/tools/measure_camera.py                  prints the table of docs/deviations.md
     python docs/tools/measure_camera.py --write          puts it there
-    python docs/tools/measure_camera.py --poses-only     errors of cameras alone, without rendering
 
-A path is that of a built-in scene, steady or shaken in one of three ways, or that of a recorded sequence. What shakes
-is a mass on a damped spring, pushed at random. Errors are distances in pixels of what the predicted and the true camera
+A path is that of a built-in scene, steady or shaken in one of three ways. What shakes is a mass on a damped spring,
+pushed at random. Errors are distances in pixels of what the predicted and the true camera
 show at the image's corners, `DISTANCE` before the camera, at t + ½ and t + 1. PSNR is of all new frames
 against the truth, pooled.
 """
@@ -17,15 +16,12 @@ import sys
 from collections import defaultdict
 from collections.abc import Callable, Iterator
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 from pages import table, write_tables
 from scipy.signal import lfilter
 
 from gffe_cl.captures.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.captures.sequence import open_sequence
-from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at, rotation_matrix
 from gffe_cl.engine.opencl.device import Device, open_device
@@ -124,7 +120,7 @@ def rendered_errors(device: Device, frames: SceneFrames, times: list[float], siz
     return found
 
 
-def scene_paths(setting, device: Device | None) -> Iterator[tuple[str, dict, dict]]:
+def scene_paths(setting, device: Device) -> Iterator[tuple[str, dict, dict]]:
     """Yield each way to shake: its name, pose errors and squared errors of all scenes."""
     times = [k / setting.fps for k in range(setting.frames)]
     for name, springs in SHAKES.items():
@@ -139,25 +135,10 @@ def scene_paths(setting, device: Device | None) -> Iterator[tuple[str, dict, dic
             camera = shaken(path, springs, times[-1], setting.seed + number)
             for key, errors in pose_errors(camera, times, setting.size).items():
                 poses[key] += errors
-            if device:
-                renderer = SceneRenderer(device, scene, *setting.size, 4)
-                frames = ShakenFrames(renderer, camera)
-                for key, errors in rendered_errors(device, frames, times, setting.size, scene.exposure).items():
-                    squared[key] += errors
+            frames = ShakenFrames(SceneRenderer(device, scene, *setting.size, 4), camera)
+            for key, errors in rendered_errors(device, frames, times, setting.size, scene.exposure).items():
+                squared[key] += errors
         yield name, poses, squared
-
-
-def recorded_path(folder: Path) -> tuple[str, dict, dict]:
-    """Return the name and the errors of a sequence on disk that has true cameras, as `scene_paths` does, without
-    pictures."""
-    sequence = open_sequence(folder)
-    times = [entry.time for entry in sequence.rendered]
-
-    def camera(time):
-        found = sequence.camera_at(time)
-        return found or next(e.display_camera for e in sequence.rendered if abs(e.time - time) < 1e-6)
-
-    return folder.name, pose_errors(camera, times, (sequence.width, sequence.height)), {}
 
 
 def rows(name: str, poses: dict, squared: dict) -> Iterator[tuple[str, ...]]:
@@ -166,31 +147,23 @@ def rows(name: str, poses: dict, squared: dict) -> Iterator[tuple[str, ...]]:
         for order in ORDERS:
             middle, most = np.percentile(poses[order, alpha], (50, 95))
             figures.append(f"{middle:.2f} / {most:.2f}")
-        for order in ("known", *ORDERS) if squared else ():
+        for order in ("known", *ORDERS):
             figures.append(f"{-10 * np.log10(np.mean(squared[order, alpha])):.2f}")
-        yield name, f"{alpha:g}", *figures, *[""] * (7 - len(figures))
+        yield name, f"{alpha:g}", *figures
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="into docs/deviations.md")
-    parser.add_argument("--poses-only", action="store_true")
     parser.add_argument("--scenes", nargs="*", choices=SCENES, default=list(SCENES))
-    parser.add_argument("--sequences", nargs="*", type=Path, default=[])
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--frames", type=int, default=60)
     parser.add_argument("--fps", type=float, default=30.0)
     parser.add_argument("--size", type=int, nargs=2, default=(480, 270))
     parser.add_argument("--device")
     setting = parser.parse_args()
-    device = None if setting.poses_only else open_device(setting.device)
-    lines = [line for found in scene_paths(setting, device) for line in rows(*found)]
-    for folder in setting.sequences:
-        try:
-            lines += rows(*recorded_path(folder))
-        except GffeError as error:
-            sys.exit(str(error))
-    made = table(HEADS, lines)
+    device = open_device(setting.device)
+    made = table(HEADS, [line for found in scene_paths(setting, device) for line in rows(*found)])
     print(f"\n{made}")
     if setting.write:
         write_tables("deviations.md", {"camera": made})
