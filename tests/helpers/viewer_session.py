@@ -10,6 +10,15 @@ from gffe_cl.viewer.state.settings import Settings
 PATIENCE = 150.0
 
 
+def wait_for(happens):
+    """Return what `happens()` returns, once that is true."""
+    end = time.monotonic() + PATIENCE
+    while not (answer := happens()):
+        assert time.monotonic() < end, "nothing happened"
+        time.sleep(0.002)
+    return answer
+
+
 class Canvas:
     """Record of the pictures that the model has put on the screen."""
 
@@ -37,11 +46,7 @@ class Session:
         self.model.update(time.perf_counter(), self.canvas)
 
     def until(self, happens):
-        end = time.monotonic() + PATIENCE
-        while not happens():
-            assert time.monotonic() < end, "nothing happened"
-            self.frame()
-            time.sleep(0.002)
+        wait_for(lambda: self.frame() or happens())
 
     def settle(self):
         self.frame()

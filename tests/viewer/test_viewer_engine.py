@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 from scn_models import constant_model, movers_model
 from synthetic import Rect, Rects, camera
+from viewer_session import PATIENCE, wait_for
 
 from gffe_cl import (
     FrameEntry,
@@ -38,7 +39,6 @@ from gffe_cl.viewer.engine.store import Key, Want
 
 W, H, COUNT, FPS = 96, 64, 14, 30.0
 ALL = Options(shading_inputs=True)
-PATIENCE = 150.0
 
 
 @dataclass
@@ -145,14 +145,6 @@ def running(device, source=None):
         yield engine
     finally:
         engine.close()
-
-
-def wait_for(happens):
-    until = time.monotonic() + PATIENCE
-    while not (answer := happens()):
-        assert time.monotonic() < until, "nothing happened"
-        time.sleep(0.002)
-    return answer
 
 
 def want(engine, slot, setup, layers=(), **more):

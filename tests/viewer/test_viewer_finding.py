@@ -7,6 +7,7 @@ from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from viewer_session import wait_for
 
 from gffe_cl import GffeError, Options
 from gffe_cl.captures.scenes import load_scene
@@ -154,14 +155,6 @@ def test_regions_are_those_of_the_table(tmp_path):
     finally:
         engine.close()
     assert len(np.unique(expected[-1])) >= 4
-
-
-def wait_for(what, seconds=60):
-    end = time.perf_counter() + seconds
-    while not (answer := what()):
-        assert time.perf_counter() < end
-        time.sleep(0.005)
-    return answer
 
 
 def test_figures_of_a_slot():

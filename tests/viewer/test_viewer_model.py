@@ -14,7 +14,7 @@ import pytest
 import tiny_sequence
 from doctor_clips import COUNT, clip
 from scn_models import constant_model
-from viewer_session import PATIENCE, Canvas, Session
+from viewer_session import PATIENCE, Canvas, Session, wait_for
 
 from gffe_cl import OPTIONS, Options
 from gffe_cl.captures.doctor.findings import FAULT, NOTE, Finding
@@ -501,11 +501,7 @@ def test_a_folder_that_cannot_be_opened_leaves_no_preview(tmp_path):
     model, canvas = Model(Settings(), save_settings=False), Canvas()
     try:
         model.open(str(tmp_path / "empty"))
-        end = time.monotonic() + PATIENCE
-        while not model.messages:
-            assert time.monotonic() < end
-            model.update(time.perf_counter(), canvas)
-            time.sleep(0.002)
+        wait_for(lambda: model.update(time.perf_counter(), canvas) or model.messages)
         assert model.preview is None and "no sequence.json" in model.notice
     finally:
         model.close()
@@ -546,10 +542,7 @@ def test_the_doctor_marks_frames_in_the_wrong_place():
     told = []
     for names in ([], ["two frames swapped"]):
         doctor = Doctor(broken(clip(), names))
-        end = time.monotonic() + PATIENCE
-        while not doctor.done:
-            assert time.monotonic() < end
-            time.sleep(0.01)
+        wait_for(lambda doctor=doctor: doctor.done)
         told.append(doctor)
     assert told[0].findings == [] and told[0].marks == {} and told[0].problem == told[1].problem == ""
     assert any("order" in finding.name for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
