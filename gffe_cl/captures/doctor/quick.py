@@ -14,6 +14,8 @@ from gffe_cl.captures.doctor.findings import (
     JITTER,
     NO_JITTER,
     NOTE,
+    ONE_OFF,
+    ORIGIN_SHIFTED,
     OTHER_FRAME,
     REPEATED,
     UNEXPLAINED,
@@ -142,7 +144,8 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
     likely = f", most likely {_names(causes)}" if causes else ""
     if causes and all(fault.is_of_jitter for fault in causes):
         return f"{_JITTERED} {_ALONE if causes[0].name in (JITTER, NO_JITTER) else _DIFFERS}{likely}"
-    if causes and all(fault.about == "color" for fault in causes):
+    # Vectors and depth are right here, or most cameras: the median is small.
+    if causes and all(fault.about == "color" or fault.name in (ORIGIN_SHIFTED, ONE_OFF) for fault in causes):
         return str(causes[0])
     median = diagnosis.residuals["given_median"]
     return f"motion vectors do not fit depth and cameras (median {median:.3g} px){likely}"

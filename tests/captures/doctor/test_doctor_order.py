@@ -7,7 +7,7 @@ import pytest
 from doctor_clips import COUNT, assert_restored, clip, names, written
 
 from gffe_cl import open_sequence
-from gffe_cl.captures.doctor import Repair, examine, selected, write_repaired
+from gffe_cl.captures.doctor import Repair, examine, selected, warning_of, write_repaired
 from gffe_cl.lab.fault_injection import Kept
 
 
@@ -50,6 +50,16 @@ def test_a_shift_of_the_worlds_origin_is_no_cut(spaces, said):
     assert not any(frame.reset for frame in frames[1:])
     for made, true in zip(frames, clip().images, strict=True):
         np.testing.assert_allclose(made.camera.world_to_view, true.camera.world_to_view, atol=1e-5)
+
+
+def test_cameras_that_are_off_in_some_frames_are_named_in_the_warning():
+    """The median residual is that of the other frames, 0 px, and would not explain the warning."""
+    off = list(clip().images)
+    off[4] = replace(off[4], camera=off[3].camera, display_camera=None)
+    for frames, said in ((shifted({3: moved(0, 0, -4096)}), "origin of the world was shifted"), (Kept(off), "frame 4")):
+        diagnosis = examine(frames)
+        assert warning_of(diagnosis) == str(diagnosis.faults[0])
+        assert said in warning_of(diagnosis)
 
 
 @pytest.mark.long
