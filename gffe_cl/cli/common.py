@@ -261,6 +261,12 @@ def warn_of_networks() -> None:
     _warned.clear()
 
 
+def named(place: str | Path, message: str) -> str:
+    """Return `message` with `place` at its beginning, for commands with several inputs."""
+    place = printable(str(place))
+    return message if message.startswith((f"{place}:", f"{place}{os.sep}")) else f"{place}: {message}"
+
+
 def plain(text: object) -> str:
     """Return `text` for the consoles without effects: neither markup nor control characters of the terminal in it,
     perhaps in the name of a file, are interpreted."""

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -12,6 +12,7 @@ from gffe_cl.cli.common import (
     FollowLinksOption,
     JsonOption,
     app,
+    named,
     out,
     plain,
     progress_bars,
@@ -19,6 +20,10 @@ from gffe_cl.cli.common import (
     warn,
     write_json,
 )
+from gffe_cl.engine.core.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.captures.sequence import Sequence
 
 
 @app.command()
@@ -36,11 +41,10 @@ def compare(
     json_path: JsonOption = None,
 ) -> None:
     """Measure extrapolated frames of A against the ground truth of B."""
-    from gffe_cl.captures.formats import open_capture
     from gffe_cl.lab.compare import compare as compare_sequences
     from gffe_cl.lab.metrics import measurable, missing_metrics
 
-    first, second = open_capture(a), open_capture(b)
+    first, second = (_opened(folder) for folder in (a, b))
     for sequence in (first, second):
         if sequence.unfinished:
             warn(sequence.warnings()[0])
@@ -64,3 +68,13 @@ def compare(
     write_json(json_path, result.to_json())
     if fail_under is not None and not result.mean["psnr"] >= fail_under:
         raise typer.Exit(1)
+
+
+def _opened(folder: Path) -> Sequence:
+    """Return the sequence in `folder`. Raises GffeError, which names the folder."""
+    from gffe_cl.captures.formats import open_capture
+
+    try:
+        return open_capture(folder)
+    except GffeError as error:
+        raise GffeError(named(folder, str(error))) from None

@@ -18,6 +18,7 @@ from gffe_cl.cli.common import (
     DeviceOption,
     FollowLinksOption,
     app,
+    named,
     out,
     parse_numbers,
     parse_size,
@@ -178,7 +179,7 @@ def _subjects(texts, encodings, *scenes, **more: float) -> tuple[tuple[Subject, 
                 raise
             broken[f"{text} ({encoding})" if encoding else text] = str(error)
     if not chosen:
-        raise GffeError("; ".join(broken.values()))
+        raise GffeError("; ".join(named(name, reason) for name, reason in broken.items()))
     return tuple(chosen), broken
 
 

@@ -659,6 +659,16 @@ def test_an_unfinished_sequence_says_so(gffe, scene, tmp_path):
     assert code == 0 and f"{tmp_path / 'out'}: unfinished" in err
 
 
+def test_errors_of_commands_with_several_sequences_name_the_folder(gffe, scene, tmp_path):
+    bad = tmp_path / "bad"
+    shutil.copytree(scene, bad)
+    (bad / "sequence.json").write_text("{")
+    for command in (("compare", scene, bad), ("compare", bad, scene), ("eval", bad, bad, "--out", tmp_path / "report")):
+        code, _, err = gffe(*command)
+        assert code == 2
+        assert err.startswith(f"error: {bad}: sequence.json: not valid JSON")
+
+
 def test_failed_run_leaves_other_files_alone(gffe, scene, tmp_path):
     """A `stages` folder of the user's, and sequences that are no output of `gffe run`, survive."""
     out = tmp_path / "out"
