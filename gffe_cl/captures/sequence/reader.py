@@ -295,6 +295,8 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
         if not path.exists():
             raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
         json_path = path / FILE_NAME if path.is_dir() else path
+        if json_path.suffix.lower() != ".json":
+            raise GffeError(f"{path}: not a folder (expected a folder with {FILE_NAME}, or that file)")
         folder = json_path.parent
         unfinished = None if json_path.exists() else why_unfinished(folder)
     except OSError as error:

@@ -117,6 +117,8 @@ def test_missing_file_and_folder(folder, tmp_path):
     (folder / "sequence.json").unlink()
     assert "no sequence.json in this folder" in fault(folder)
     assert "no such folder" in fault(tmp_path / "nowhere")
+    frame = folder / "frame_0.exr"
+    assert fault(frame) == f"{frame}: not a folder (expected a folder with sequence.json, or that file)"
 
 
 @pytest.mark.parametrize("name", ["Z", "R", "motion.y"])
