@@ -23,6 +23,7 @@ from gffe_cl.cli.common import (
 )
 from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError, require_packages
+from gffe_cl.engine.core.validation import require_within
 
 if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import Device, DeviceInfo
@@ -104,6 +105,10 @@ def bench(
 
     if repeats < 1:
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
+    if budget is not None:
+        from gffe_cl.engine.timing.choice import BUDGETS
+
+        require_within(budget, "--budget", *BUDGETS)
     parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
     if traffic:
         on = open_device(device, profiling=True)

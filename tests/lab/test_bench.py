@@ -150,6 +150,7 @@ def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):
         (("--traffic", "--lanes", 3), "--lanes must be 1, 8 or 1,8"),
         (("--traffic", "--sizes", "64x48,32x24"), "--traffic takes one size"),
         (("--repeats", 0), "--repeats must be at least 1"),
+        (("--budget", -1), "--budget must be a finite number from 0.001 to 100000, got -1"),
     ],
 )
 def test_bench_refuses(gffe, options, complaint):
