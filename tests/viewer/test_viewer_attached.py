@@ -48,12 +48,15 @@ def until(happens, what="something"):
 # ---- sockets ---------------------------------------------------------------------------------------------------------
 
 
-def test_names():
+def test_names(monkeypatch):
     first, second = channel.Listener(None, NAME), channel.Listener(None, NAME)
     assert [first.name, second.name] == [NAME, f"{NAME}-2"] == attached()
     with pytest.raises(gffe.GffeError, match=f"attached as '{NAME}' already"):
         channel.Listener(NAME, "stem")
     with pytest.raises(gffe.GffeError, match=rf"no program is attached as 'gam' \(there are: .*{NAME}, {NAME}-2"):
+        channel.connect("gam")
+    monkeypatch.setattr(channel, "programs", list)
+    with pytest.raises(gffe.GffeError, match=r"\(there is none: call gffe_cl.attach\(pipeline\) in the program\)"):
         channel.connect("gam")
     for name in ("", "../x", "a b", "x" * 65):
         with pytest.raises(gffe.GffeError, match="attach: name must be"):

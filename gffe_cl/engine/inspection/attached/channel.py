@@ -206,7 +206,8 @@ def connect(name: str) -> Channel:
     except OSError:
         connected.close()
         living = programs()
-        there = f"there are: {', '.join(living)}" if living else "no program is: gffe_cl.attach(pipeline) does it"
+        none = "there is none: call gffe_cl.attach(pipeline) in the program"
+        there = f"there are: {', '.join(living)}" if living else none
         raise GffeError(f"no program is attached as '{name}' ({there})") from None
     if uid != os.getuid():
         connected.close()
