@@ -16,6 +16,7 @@ from make_tables import SHOWN
 from typer.main import get_command
 
 import gffe_cl
+from gffe_cl import cli
 from gffe_cl.captures.sequence.description import Description, FrameEntry, describe
 from gffe_cl.cli.commands import RENAMED, app
 
@@ -314,3 +315,9 @@ def test_nothing_is_promised_from_an_index():
     extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
     named = {name for text in written.values() for name in re.findall(r"how_to_install\(['\"](\w+)['\"]\)", text)}
     assert named and named <= set(extras)
+
+
+def test_all_exit_codes_are_listed():
+    words = r"\d+ (?:done|findings|failed|interrupted)"
+    listed, ours = (re.findall(words, text) for text in ((ROOT / "docs" / "cli.md").read_text(), cli.__doc__))
+    assert listed == ours and len(ours) == 4
