@@ -160,7 +160,7 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
         "camera: field of view": "the field of view is off: focal lengths are {percent:.1f}% too {long}",
     },
     (FAULT, "cameras are moved back"): {
-        "camera: origin shifted": "from frame {frame} ({file}) on they are {shift}: the origin of the world was"
+        "camera: origin shifted": "from frame {frame} ({file}) on all cameras are {shift}: the origin of the world was"
         " shifted, as vectors and colors continue without a break",
         "camera: off in one frame": "the camera of frame {frame} ({file}) {is_whose}, while vectors and colors continue"
         " without a break: it is {shift} against what they show",

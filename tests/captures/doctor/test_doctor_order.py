@@ -34,8 +34,8 @@ def shifted(spaces):
 @pytest.mark.parametrize(
     ("spaces", "said"),
     [
-        ({4: moved(-1000, 3, 0.5)}, ["from frame 4 (frame_000004.exr) on they are moved by (-1000, 3, 0.5): "]),
-        ({3: moved(0, 0, -4096)}, ["from frame 3 (frame_000003.exr) on they are moved by (0, 0, -4096): "]),
+        ({4: moved(-1000, 3, 0.5)}, ["from frame 4 (frame_000004.exr) on all cameras are moved by (-1000, 3, 0.5): "]),
+        ({3: moved(0, 0, -4096)}, ["from frame 3 (frame_000003.exr) on all cameras are moved by (0, 0, -4096): "]),
         ({2: moved(7, 0, 7), 6: moved(-7, 0, -7)}, ["are moved by (7, 0, 7)", "are moved by (-7, 0, -7)"]),
         ({5: moved(1, 0, 2, turn=90)}, ["turned by 90° and moved by (1, 0, 2)"]),
     ],
