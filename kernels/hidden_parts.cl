@@ -5,8 +5,8 @@
    frame before showed something farther where that part was then. A mover at the border of the rendered image that
    enters has parts which no frame has shown: they have its color there.
 
-   A part that the frame before showed, and that a nearer static surface hides in the rendered frame, reappears: it
-   comes out before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the
+   A part that the frame before showed, and that something nearer hides in the rendered frame, reappears: it comes out
+   before surfaces that are shown, or in a hole. It moves like the mover beside what hides it, and has the
    color that it had. */
 
 #include "frame.h"
@@ -22,7 +22,8 @@
 /* What set the thresholds: docs/deviations.md, "Hidden parts of movers", "Parts that the frame before showed
    reappear". */
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
-#define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it */
+#define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it ... */
+#define MOVER_HIDES 0.8f  /* ... and movers so much nearer do, which are no limbs of its own */
 #define BESIDE 3          /* part of the reach within which a mover owns holes beside it */
 
 #define MOVER_REACH 8     /* px, in which movers are looked for ... */
@@ -214,9 +215,9 @@ INLINE float2 place_of_part(const int x, const int y, const int dst_x, const int
     return pixel_center(x, y) + (float2)(divide(off.x, frame->zoom.x), divide(off.y, frame->zoom.y));
 }
 
-/* Whether something static and nearer than `z` is shown at pixel `src` of the rendered frame. */
+/* Whether pixel `src` of the rendered frame shows something else that is nearer than `z`. */
 INLINE bool is_hidden(const int src, const float z, const Parts f) {
-    return f.dynamic_mask[src] == STATIC && f.depth[src] > 0.0f && f.depth[src] < HIDES * z;
+    return f.depth[src] > 0.0f && f.depth[src] < (f.dynamic_mask[src] == STATIC ? HIDES : MOVER_HIDES) * z;
 }
 
 /* Whether the frame before showed a mover of depth `met` at px_prev: a surface of that depth. */
@@ -226,7 +227,7 @@ INLINE bool mover_was_shown(const float2 px_prev, const float met, __constant Fr
     return fabs(f.depth_prev[(int)px_prev.y * width + (int)px_prev.x] - met) <= SAME_PART * met;
 }
 
-/* Offers the parts of the mover at (src_x, src_y) on side k of it, where something static and nearer hides them; its
+/* Offers the parts of the mover at (src_x, src_y) on side k of it, where something nearer hides them; its
    pixel beside the mover does. */
 INLINE void offer_side(const int src_x, const int src_y, const int k, const int pass, __constant Frame *frame,
                        const Parts f) {
@@ -269,7 +270,7 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
     }
 }
 
-/* Whether something static and nearer hides what is beside a mover's pixel, on side k. */
+/* Whether something nearer hides what is beside a mover's pixel, on side k. */
 INLINE bool is_hidden_beside(const int src, const int k, __constant Frame *frame, const Parts f) {
     const int width = frame->source_width, src_x = src % width, src_y = src / width;
     const int2 d = side(k);

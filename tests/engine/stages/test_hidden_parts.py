@@ -1,5 +1,7 @@
 """What hidden parts of movers promise, where the exact answer is known."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import twins
@@ -95,6 +97,17 @@ def test_mover_comes_out_from_behind_bars(device):
         at = np.stack([x, y], -1) + 0.5 + out.numpy("motion")[shown]
         assert np.isclose(frame.depth[tuple(np.floor(at).astype(int).T[::-1])], 4, rtol=0.01).mean() > 0.9  # a bar
     assert wrong[True] < 0.5 * wrong[False], wrong
+
+
+def test_mover_comes_out_from_behind_a_nearer_mover(device):
+    """As from behind bars that move, unless they are so little nearer that they may be limbs of its own."""
+    mover = Rect((-1.3, 0, 6), (1.0, 0.6), velocity=(9, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
+    for nearer, comes_out in ((1, True), (1.3, False)):
+        bars = [replace(bar, center=(*bar.center[:2], nearer * bar.center[2]), velocity=(-1, 0, 0)) for bar in BARS]
+        out, truth, _ = last_frame(device, [WALL, mover, *bars], count=4)
+        shown = out.numpy("filled_by") == BY_REAPPEARING
+        assert shown.any() == comes_out
+        assert not comes_out or np.isclose(truth.depth[shown], 6, rtol=0.01).mean() > 0.9
 
 
 @pytest.mark.parametrize("row", [H / 2, H], ids=["side", "corner"])

@@ -115,8 +115,9 @@ def show_reappearing(shown, now, past, tracked, target_position, zoom, reach):
         return 0 <= px[0] < width and 0 <= px[1] < height
 
     def is_hidden(q, z):
-        """Return whether something static and nearer than `z` is shown at pixel `q`."""
-        return dynamic[q] == FRAME.STATIC and 0 < now.depth[q] < HIDDEN.HIDES * z
+        """Return whether something else, nearer than `z`, is shown at pixel `q`."""
+        hides = HIDDEN.HIDES if dynamic[q] == FRAME.STATIC else HIDDEN.MOVER_HIDES
+        return 0 < now.depth[q] < hides * z
 
     def was_shown(px, of):
         """Return whether the frame before showed a mover of depth `of` at `px`."""
