@@ -152,7 +152,8 @@ def test_files_that_are_none(gffe, folder, tmp_path, kind, command):
     ways[kind](path)
     more = {"run": [tmp_path / "out"], "import": [tmp_path / "out"], "compare": [folder]}.get(command, [])
     code, out, err = gffe(command, folder, *more)
-    assert code == 2 and out == "" and err.startswith("error: frame_1.exr: ") and err.count("\n") == 1
+    where = f"{folder}: " if command == "compare" else ""  # which of the two
+    assert code == 2 and out == "" and err.startswith(f"error: {where}frame_1.exr: ") and err.count("\n") == 1
     assert not (tmp_path / "out").exists()
     if kind != "folder" and command == "import":  # in the place of the capture, and of the output
         ways[kind](tmp_path / "place")
