@@ -10,9 +10,9 @@ from gffe_cl.viewer.state.settings import Settings
 PATIENCE = 150.0
 
 
-def wait_for(happens):
+def wait_for(happens, seconds=PATIENCE):
     """Return what `happens()` returns, once that is true."""
-    end = time.monotonic() + PATIENCE
+    end = time.monotonic() + seconds
     while not (answer := happens()):
         assert time.monotonic() < end, "nothing happened"
         time.sleep(0.002)

@@ -146,11 +146,11 @@ def test_regions_are_those_of_the_table(tmp_path):
     engine.start()
     engine.open_source(lambda opened: make_source(str(tmp_path), None, ScenePlan(1, 1, 0), opened))
     try:
-        wait_for(lambda: engine.source)
+        wait_for(lambda: engine.source, 60)
         for slot, labels in zip(slots, expected, strict=True):
             want = Want(Key(engine.recipe(Setup(Options(shading_correction=False))), slot), NEEDED)
             engine.store.want([want])
-            found = region_labels(wait_for(lambda want=want: engine.store.get(want)), engine.source.exposure)
+            found = region_labels(wait_for(lambda want=want: engine.store.get(want), 60), engine.source.exposure)
             np.testing.assert_array_equal(found, labels)
     finally:
         engine.close()
@@ -363,15 +363,15 @@ def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
         return measured.of(frame.key.recipe).get(3, Figures())
 
     measured.survey(frame, 1.0)
-    wait_for(lambda: known().surveyed)
+    wait_for(lambda: known().surveyed, 60)
     for _ in range(2):
         measured.measure(frame, 1.0)
-    wait_for(lambda: measured.faults)
+    wait_for(lambda: measured.faults, 60)
     assert counted == {"psnr": 1, "flip": 1, "slow": 1} and known().parts
     assert measured.faults == ["ZeroDivisionError: division by zero"]
     measured.measure(made(slot=2, alpha=0.0), 1.0)
     measured.measure(made(slot=4), 1.0)
-    wait_for(lambda: measured.update() or "slow" in measured.of(frame.key.recipe).get(4, Figures()).values)
+    wait_for(lambda: measured.update() or "slow" in measured.of(frame.key.recipe).get(4, Figures()).values, 60)
     assert 2 not in measured.of(frame.key.recipe) and counted["psnr"] == 2
 
 
