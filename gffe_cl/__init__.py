@@ -11,6 +11,8 @@ frame.numpy("color")        # NumPy array
 
 from importlib import import_module
 
+from gffe_cl.gone import removal
+
 __version__ = "0.2.0"
 
 # Loaded on first use: importing the package must not load a driver.
@@ -69,6 +71,8 @@ __all__ = ["__version__", *_HOME]
 
 def __getattr__(name):
     if name not in _HOME:
+        if removed := removal(name):
+            raise import_module("gffe_cl.engine.core.errors").GffeError(removed)
         raise AttributeError(f"module 'gffe_cl' has no attribute '{name}'")
     value = getattr(import_module(f"gffe_cl.{_HOME[name]}"), name)
     globals()[name] = value

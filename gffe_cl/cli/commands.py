@@ -28,6 +28,7 @@ from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order o
 from gffe_cl.cli.common import app, out, warn_of_networks
 from gffe_cl.engine.core.errors import REPOSITORY, GffeError
 from gffe_cl.engine.core.validation import MOST_SEED, shown
+from gffe_cl.gone import removal
 
 __all__ = ["app", "invoke"]
 
@@ -39,6 +40,10 @@ def invoke(arguments: list[str]) -> int:
     """Run the command line. Returns the exit code. Raises usage errors, and any exception of the command."""
     if arguments[:1] and arguments[0] in MEANT:
         raise GffeError(f"{arguments[0]} is no command (expected `gffe {MEANT[arguments[0]]}`)")
+    command = f"gffe {arguments[0]}" if arguments else "gffe"
+    for name in (command, *(f"{command} {word.partition('=')[0]}" for word in arguments[1:])):
+        if removed := removal(name):
+            raise GffeError(removed)
     try:
         words = (word.partition("=") for word in arguments)
         arguments = [RENAMED.get(name, name) + equals + value for name, equals, value in words]

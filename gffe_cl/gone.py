@@ -1,0 +1,11 @@
+"""Removed names of the API, of commands and of options, each with a sentence that says what to use instead.
+
+Names of the API stand alone, commands and their options as they were typed: "gffe calibrate", "gffe bench --budget".
+"""
+
+GONE: dict[str, str] = {}
+
+
+def removal(name: str) -> str | None:
+    """Return the error for a removed name, None for any other."""
+    return f"{name} was removed: {GONE[name]}" if name in GONE else None
