@@ -1,5 +1,8 @@
 """Removed names of the API, commands and options give one line that says what to use instead."""
 
+import json
+from pathlib import Path
+
 import pytest
 from typer.main import get_command
 
@@ -15,6 +18,23 @@ def test_a_removed_name_says_what_to_use(name):
     words = name.split()
     with pytest.raises(GffeError, match=f"{name} was removed: "):
         invoke(words[1:]) if words[0] == "gffe" else getattr(gffe_cl, name)
+
+
+def public_names():
+    """Names of the API, commands, and "gffe command --option"."""
+    found = set(gffe_cl.__all__)
+    for name, command in get_command(app).commands.items():
+        options = {option for parameter in command.params for option in (*parameter.opts, *parameter.secondary_opts)}
+        found |= {f"gffe {name}", *(f"gffe {name} {option}" for option in options if option.startswith("--"))}
+    return found
+
+
+def test_no_public_name_is_lost_without_a_word():
+    """`public_names.json` has every name that was ever public."""
+    known, public = json.loads(Path(__file__).with_name("public_names.json").read_text()), public_names()
+    assert public <= set(known), "add the new names to tests/public_names.json"
+    lost = [name for name in known if name not in public and not {name, " ".join(name.split()[:2])} & set(GONE)]
+    assert lost == [], "removed names need a row in gffe_cl/gone.py"
 
 
 def test_a_removed_name_is_gone():

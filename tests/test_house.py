@@ -106,6 +106,36 @@ def absolute(module, path, node):
     return ".".join(["gffe_cl", *module.split(".")[: -levels or None], *filter(None, [node.module])])
 
 
+# Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
+LEDGER = {
+    "gffe_cl": 47_700,
+    "viewer": 15_500,
+    "kernels": 10_200,
+    "tests": 39_700,
+    "docs/tools": 5_900,
+    "docs/examples": 1_900,
+    "docs/*.md": 5_900,
+}
+MOST_MODULES = 397
+_CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
+
+
+def lines_of(wing):
+    """Lines of the code in a folder, or of the files that a pattern finds."""
+    root = Path(__file__).parents[1]
+    found = root.glob(wing) if "*" in wing else (f for f in (root / wing).rglob("*") if f.suffix in _CODE)
+    return sum(path.read_bytes().count(b"\n") for path in found)
+
+
+@pytest.mark.parametrize("wing", LEDGER)
+def test_no_wing_grows(wing):
+    assert 0 < lines_of(wing) <= LEDGER[wing], f"{wing}: what is added names the lines that go (CONTRIBUTING.md)"
+
+
+def test_no_more_modules():
+    assert len(modules()) <= MOST_MODULES
+
+
 @pytest.fixture(scope="module")
 def graph():
     known = modules()
