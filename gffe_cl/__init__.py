@@ -33,7 +33,6 @@ _HOME = {
     "prepare_runtimes": "engine.opencl.runtimes",
     "SharingSupport": "engine.opencl.sharing",
     "sharing_support": "engine.opencl.sharing",
-    "GlSharing": "engine.opencl.sharing",
     "MemorySharing": "engine.opencl.sharing",
     "GffeError": "engine.core.errors",
     "BadPixels": "engine.frame.rendered_frame",

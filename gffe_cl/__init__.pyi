@@ -32,7 +32,6 @@ from gffe_cl.engine.opencl.device import DeviceInfo as DeviceInfo
 from gffe_cl.engine.opencl.device import list_devices as list_devices
 from gffe_cl.engine.opencl.device import open_device as open_device
 from gffe_cl.engine.opencl.runtimes import prepare_runtimes as prepare_runtimes
-from gffe_cl.engine.opencl.sharing import GlSharing as GlSharing
 from gffe_cl.engine.opencl.sharing import MemorySharing as MemorySharing
 from gffe_cl.engine.opencl.sharing import SharingSupport as SharingSupport
 from gffe_cl.engine.opencl.sharing import sharing_support as sharing_support

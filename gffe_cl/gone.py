@@ -3,7 +3,9 @@
 Names of the API stand alone, commands and their options as they were typed: "gffe calibrate", "gffe bench --budget".
 """
 
-GONE: dict[str, str] = {}
+GONE: dict[str, str] = {
+    "GlSharing": "import memory of Vulkan by MemorySharing, or pass NumPy arrays to submit.",
+}
 
 
 def removal(name: str) -> str | None:

@@ -1,7 +1,7 @@
-"""Sharing of buffers with graphics APIs, where the driver offers it: OpenGL (`cl_khr_gl_sharing`), and memory that
-Vulkan or Direct3D 12 export (`cl_khr_external_memory`).
+"""Sharing of memory and semaphores with Vulkan and CUDA, where the driver imports them (`cl_khr_external_memory`,
+`cl_khr_external_semaphore`).
 
-pyopencl's wheels are built without either, so the calls go through ctypes to the OpenCL loader that pyopencl uses.
+pyopencl's wheels are built without these calls, so they go through ctypes to the OpenCL loader that pyopencl uses.
 """
 
 from __future__ import annotations
@@ -12,57 +12,44 @@ from collections.abc import Callable, Iterable
 from contextlib import suppress
 from dataclasses import dataclass
 from functools import cache
-from typing import Any, ClassVar
+from typing import Any
 
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_choice, require_kind, require_list, require_whole, shown
-from gffe_cl.engine.opencl.device import Device, list_devices
+from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.handles import adopted_events
 
-_GL, _MEMORY, _SEMAPHORE = "cl_khr_gl_sharing", "cl_khr_external_memory", "cl_khr_external_semaphore"
+_MEMORY, _SEMAPHORE = "cl_khr_external_memory", "cl_khr_external_semaphore"
 _IMPORTED_TYPES = 0x204F  # CL_DEVICE_EXTERNAL_MEMORY_IMPORT_HANDLE_TYPES_KHR
 _IMPORTED_SEMAPHORES = 0x204D  # CL_DEVICE_SEMAPHORE_IMPORT_HANDLE_TYPES_KHR
 _SEMAPHORE_TYPE, _BINARY = 0x203D, 1
 _SEMAPHORE_TYPES = {"opaque_fd": 0x2055, "opaque_win32": 0x2056, "opaque_win32_kmt": 0x2057}
-_HANDLE_TYPES = {
-    "opaque_fd": 0x2060,
-    "opaque_win32": 0x2061,
-    "opaque_win32_kmt": 0x2062,
-    "d3d12_heap": 0x2065,
-    "d3d12_resource": 0x2066,
-    "dma_buf": 0x2067,
-}
-_GL_CONTEXT, _PLATFORM, _CURRENT_DEVICE = 0x2008, 0x1084, 0x2006
-_DISPLAYS = {"egl": 0x2009, "glx": 0x200A, "wgl": 0x200B}
+_HANDLE_TYPES = {"opaque_fd": 0x2060, "opaque_win32": 0x2061, "opaque_win32_kmt": 0x2062, "dma_buf": 0x2067}
 _MOST_HANDLE = 2**63 - 1
 _P, _INT, _UINT, _SIZE = ct.c_void_p, ct.c_int32, ct.c_uint32, ct.c_size_t
 
 
 @dataclass(frozen=True)
 class SharingSupport:
-    """Sharing with graphics APIs that a device's driver supports.
+    """Sharing with other APIs that a device's driver supports.
 
     Attributes
     ----------
-    opengl : bool
-        Whether buffers of OpenGL can be shared (`GlSharing`).
     memory : tuple of str
         Memory of other APIs (`MemorySharing`), by the types of handles that can be imported: "opaque_fd", "dma_buf"
-        (Linux), "opaque_win32", "opaque_win32_kmt", "d3d12_heap", "d3d12_resource" (Windows); empty: none.
+        (Linux), "opaque_win32", "opaque_win32_kmt" (Windows); empty: none.
     semaphores : tuple of str
         Semaphores of Vulkan (`MemorySharing.semaphore`), likewise: "opaque_fd", "opaque_win32", "opaque_win32_kmt".
     """
 
-    opengl: bool
     memory: tuple[str, ...]
     semaphores: tuple[str, ...] = ()
 
 
 def sharing_support(device: Device) -> SharingSupport:
-    """Return the sharing with graphics APIs that the driver of `device` reports. Raises GffeError if it is no
-    Device."""
+    """Return the sharing with other APIs that the driver of `device` reports. Raises GffeError if it is no Device."""
     own = require_kind(device, Device, "sharing_support: device", "an open Device").cl_device
     extensions = _extensions(own)
 
@@ -76,117 +63,13 @@ def sharing_support(device: Device) -> SharingSupport:
         return tuple(name for name, number in names.items() if number in found)
 
     memory = imported(_MEMORY, _IMPORTED_TYPES, _HANDLE_TYPES)
-    return SharingSupport(_GL in extensions, memory, imported(_SEMAPHORE, _IMPORTED_SEMAPHORES, _SEMAPHORE_TYPES))
+    return SharingSupport(memory, imported(_SEMAPHORE, _IMPORTED_SEMAPHORES, _SEMAPHORE_TYPES))
 
 
-class _Sharing:
-    """Common part of both kinds: buffers are acquired before OpenCL uses them, and released before the other API
-    does."""
-
-    _commands: ClassVar[tuple[str, str]]
-
-    def acquire(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
-        """Enqueue taking `buffers` over from the other API, on the device's queue, once `wait_for` is complete, and
-        return the event of that. The other API must be done with them. Raises GffeError for other values, and where the
-        driver fails."""
-        return self._enqueue(self._commands[0], buffers, wait_for)
-
-    def release(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
-        """Enqueue giving `buffers` back to the other API, on the device's queue, once `wait_for` is complete, and
-        return the event of that. The other API may use them when the event is complete. Raises GffeError for other
-        values, and where the driver fails."""
-        return self._enqueue(self._commands[1], buffers, wait_for)
-
-    def __init__(self, device: Device, is_offered: bool, what: str):
-        if not is_offered:
-            raise GffeError(f"{device.info.name}: the driver does not offer {what} (see sharing_support)")
-        self.device = device
-
-    def _enqueue(self, command: str, buffers: Any, wait_for: Any) -> cl.Event:
-        listed = require_list(buffers, cl.Buffer, "sharing: buffers", "a list of pyopencl.Buffers")
-        return self._call(command, listed, wait_for)
-
-    def _call(self, command: str, listed: list, wait_for: Any, *more: None) -> cl.Event:
-        """Enqueue a command on buffers or semaphores, and return its event. `more`: its arguments after these."""
-        queue = self.device.queue
-        events = adopted_events(wait_for, self.device.context, "sharing: wait_for")
-        optional, given = [_P] * len(more), (len(listed), _handles(listed), *more)
-        call = _function(self.device.cl_device.platform, command, _INT, _P, _UINT, _P, *optional, _UINT, _P, _P)
-        event = _P()
-        error = call(queue.int_ptr, *given, len(events), _handles(events), ct.byref(event))
-        _require_success(command, error)
-        queue.flush()
-        made: Any = event.value
-        return cl.Event.from_int_ptr(made, retain=False)
-
-
-class GlSharing(_Sharing):
-    """Sharing of OpenGL buffers, which OpenCL uses in place. `buffer` makes a device buffer of one. `acquire` and
-    `release` (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
-
-    Parameters
-    ----------
-    device : Device
-        A device made by `GlSharing.open_device`, or by `Device.from_context` in a context that shares with OpenGL.
-
-    Raises
-    ------
-    GffeError
-        Where the driver does not support sharing with OpenGL.
-    """
-
-    _commands = ("clEnqueueAcquireGLObjects", "clEnqueueReleaseGLObjects")
-
-    def __init__(self, device: Device):
-        super().__init__(device, sharing_support(device).opengl, f"OpenGL sharing ({_GL})")
-
-    @classmethod
-    def open_device(cls, gl_context: int, display: int, window_system: str = "glx") -> Device:
-        """Open the OpenCL device that renders an OpenGL context, in a context that shares with it, and return it.
-
-        Parameters
-        ----------
-        gl_context : int
-            Handle of the context: GLXContext, EGLContext or HGLRC. The context must be current in this thread.
-        display : int
-            Handle of its display: X11's Display, EGLDisplay or HDC.
-        window_system : str
-            Window system: "glx", "egl" or "wgl".
-
-        Raises
-        ------
-        GffeError
-            For other values, and if no driver shares with this context.
-        """
-        system = require_choice(window_system, _DISPLAYS, "GlSharing: window_system")
-        context = require_whole(gl_context, "GlSharing: gl_context", 1, _MOST_HANDLE)
-        where = require_whole(display, "GlSharing: display", 1, _MOST_HANDLE)
-        list_devices()  # hides drivers that crash
-        for platform in cl.get_platforms():
-            if not any(_GL in _extensions(device) for device in platform.get_devices()):
-                continue
-            wanted = _GL_CONTEXT, context, _DISPLAYS[system], where, _PLATFORM, platform.int_ptr, 0
-            properties = (ct.c_ssize_t * len(wanted))(*wanted)
-            if found := _current_device(platform, properties):
-                return _device_in_context(platform, properties, found)
-        raise GffeError("GlSharing: no OpenCL driver shares with this OpenGL context (see sharing_support)")
-
-    def buffer(self, name: int) -> cl.Buffer:
-        """Return an OpenGL buffer object, given by its name, as a device buffer. It must have storage, and stay as long
-        as the result is in use. Raises GffeError for other values, and where the driver refuses it."""
-        number = require_whole(name, "GlSharing: name", 1, 2**32 - 1)
-        platform, error = self.device.cl_device.platform, _INT()
-        create = _function(platform, "clCreateFromGLBuffer", _P, _P, ct.c_uint64, _UINT, _P)
-        made = create(self.device.context.int_ptr, int(cl.mem_flags.READ_WRITE), number, ct.byref(error))
-        _require_success("clCreateFromGLBuffer", error.value)
-        buffer: Any = cl.Buffer.from_int_ptr(made, retain=False)
-        return buffer
-
-
-class MemorySharing(_Sharing):
-    """Sharing of memory of Vulkan or Direct3D 12, which OpenCL uses in place. `buffer` imports it. `acquire` and
-    `release` (buffers, wait_for=()) enqueue taking buffers over and giving them back, and return the events of that.
-    With semaphores (`semaphore`, `wait`, `signal`) no host waits between the APIs.
+class MemorySharing:
+    """Sharing of memory of Vulkan or CUDA, which OpenCL uses in place. `buffer` imports it. Buffers are acquired before
+    OpenCL uses them, and released before the other API does. With semaphores (`semaphore`, `wait`, `signal`) no host
+    waits between the APIs.
 
     Parameters
     ----------
@@ -199,12 +82,12 @@ class MemorySharing(_Sharing):
         Where the driver does not support the import of memory.
     """
 
-    _commands = ("clEnqueueAcquireExternalMemObjectsKHR", "clEnqueueReleaseExternalMemObjectsKHR")
-
     def __init__(self, device: Device):
         support = sharing_support(device)
-        self.types, self.semaphore_types = support.memory, support.semaphores
-        super().__init__(device, bool(self.types), f"external memory ({_MEMORY})")
+        self.device, self.types, self.semaphore_types = device, support.memory, support.semaphores
+        if not self.types:
+            name = device.info.name
+            raise GffeError(f"{name}: the driver does not offer external memory ({_MEMORY}, see sharing_support)")
 
     def buffer(self, kind: str, handle: int, nbytes: int) -> cl.Buffer:
         """Return memory that another API exported, from its first byte on, as a device buffer of `nbytes`.
@@ -224,6 +107,18 @@ class MemorySharing(_Sharing):
         _require_success(name, error.value)
         buffer: Any = cl.Buffer.from_int_ptr(made, retain=False)
         return buffer
+
+    def acquire(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
+        """Enqueue taking `buffers` over from the other API, on the device's queue, once `wait_for` is complete, and
+        return the event of that. The other API must be done with them. Raises GffeError for other values, and where the
+        driver fails."""
+        return self._move("clEnqueueAcquireExternalMemObjectsKHR", buffers, wait_for)
+
+    def release(self, buffers: Iterable[cl.Buffer], wait_for: Iterable[cl.Event | int] = ()) -> cl.Event:
+        """Enqueue giving `buffers` back to the other API, on the device's queue, once `wait_for` is complete, and
+        return the event of that. The other API may use them when the event is complete. Raises GffeError for other
+        values, and where the driver fails."""
+        return self._move("clEnqueueReleaseExternalMemObjectsKHR", buffers, wait_for)
 
     def semaphore(self, kind: str, handle: int) -> SharedSemaphore:
         """Return a binary semaphore that Vulkan exported, for `wait` and `signal`.
@@ -252,6 +147,23 @@ class MemorySharing(_Sharing):
         that. Vulkan must wait for it before it is signaled again. Raises GffeError where the driver fails."""
         return self._call("clEnqueueSignalSemaphoresKHR", [_checked(semaphore)], (), None)
 
+    def _move(self, command: str, buffers: Any, wait_for: Any) -> cl.Event:
+        listed = require_list(buffers, cl.Buffer, "sharing: buffers", "a list of pyopencl.Buffers")
+        return self._call(command, listed, wait_for)
+
+    def _call(self, command: str, listed: list, wait_for: Any, *more: None) -> cl.Event:
+        """Enqueue a command on buffers or semaphores, and return its event. `more`: its arguments after these."""
+        queue = self.device.queue
+        events = adopted_events(wait_for, self.device.context, "sharing: wait_for")
+        optional, given = [_P] * len(more), (len(listed), _handles(listed), *more)
+        call = _function(self.device.cl_device.platform, command, _INT, _P, _UINT, _P, *optional, _UINT, _P, _P)
+        event = _P()
+        error = call(queue.int_ptr, *given, len(events), _handles(events), ct.byref(event))
+        _require_success(command, error)
+        queue.flush()
+        made: Any = event.value
+        return cl.Event.from_int_ptr(made, retain=False)
+
 
 class SharedSemaphore:
     """A semaphore of another API, made by `MemorySharing.semaphore`."""
@@ -265,22 +177,6 @@ class SharedSemaphore:
 
 def _checked(semaphore: Any) -> SharedSemaphore:
     return require_kind(semaphore, SharedSemaphore, "sharing: semaphore", "one of MemorySharing.semaphore")
-
-
-def _current_device(platform: cl.Platform, properties: ct.Array) -> int | None:
-    """Return the handle of the device that renders an OpenGL context; None if the platform has no such device."""
-    found, nbytes = _P(), _SIZE()
-    ask = _function(platform, "clGetGLContextInfoKHR", _INT, _P, _UINT, _SIZE, _P, _P)
-    error = ask(properties, _CURRENT_DEVICE, ct.sizeof(found), ct.byref(found), ct.byref(nbytes))
-    return found.value if error == 0 and nbytes.value else None
-
-
-def _device_in_context(platform: cl.Platform, properties: ct.Array, found: int) -> Device:
-    devices, error = (_P * 1)(found), _INT()
-    create = _function(platform, "clCreateContext", _P, _P, _UINT, _P, _P, _P, _P)
-    made = create(properties, 1, devices, None, None, ct.byref(error))
-    _require_success("clCreateContext", error.value)
-    return Device.from_context(cl.Context.from_int_ptr(made, retain=False))
 
 
 def _extensions(device: cl.Device) -> list[str]:

@@ -49,7 +49,7 @@ WRONG = (
     1e308, np.longdouble(2), "x" * 5000, "a b " * 25000, Path("x" * 5000), "a\ud800", np.broadcast_to(np.float16(1),
     HUGE), np.broadcast_to(np.float32(1), (*HUGE, 2)), np.broadcast_to(np.uint8(1), (*HUGE, 3)),
 )  # fmt: skip
-# What needs a device, or a fake driver (tests/engine/opencl/test_graphics_sharing.py); plain records, checked where
+# What needs a device, or a fake driver (tests/engine/opencl/test_sharing.py); plain records, checked where
 # they are used; what is made by others only.
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",
@@ -57,7 +57,7 @@ ON_A_DEVICE = {
     "Device.buffer", "Device.empty", "Device.from_context", "sharing_support", "choose_options",
 }  # fmt: skip
 WITH_A_FAKE_DRIVER = {
-    "GlSharing", "GlSharing.buffer", "GlSharing.open_device", "MemorySharing", "MemorySharing.buffer",
+    "MemorySharing", "MemorySharing.acquire", "MemorySharing.release", "MemorySharing.buffer",
     "MemorySharing.semaphore", "MemorySharing.wait", "MemorySharing.signal",
 }  # fmt: skip
 RECORDS = {"SharingSupport", "DeviceInfo", "BadPixels", "Overlays", "RenderedFrame", "FrameEntry", "Window"}

@@ -1,5 +1,5 @@
-"""Sharing with graphics APIs: what drivers say of it, and the calls, by a fake driver behind the real types of C. Its
-buffers, contexts and events are the real device's, so that pipelines work with them."""
+"""Sharing with Vulkan: what drivers say of it, and the calls, by a fake driver behind the real types of C. Its buffers
+and events are the real device's, so that pipelines work with them."""
 
 import ctypes as ct
 from dataclasses import replace
@@ -9,25 +9,15 @@ import pyopencl as cl
 import pytest
 from tiny_frames import H, W, frames
 
-from gffe_cl import (
-    Device,
-    GffeError,
-    GlSharing,
-    MemorySharing,
-    Options,
-    Pipeline,
-    SharingSupport,
-    sharing_support,
-)
+from gffe_cl import Device, GffeError, MemorySharing, Options, Pipeline, SharingSupport, sharing_support
 from gffe_cl.engine.frame.rendered_frame import host_arrays
 from gffe_cl.engine.opencl import sharing
 
 SLOTS = 3  # of rendered frames: two are in use while the third is written
 P, INT, UINT, SIZE, ULONG = ct.c_void_p, ct.c_int32, ct.c_uint32, ct.c_size_t, ct.c_uint64
-GL_CONTEXT, DISPLAY, SEMAPHORES = 0xABC000, 0xDEF000, 0x5000
+SEMAPHORES = 0x5000
 INVALID_VALUE, INVALID_OPERATION = -30, -59
-TAKE, GIVE = "Acquire", "Release"
-KINDS = {"GL": "GLObjects", "memory": "ExternalMemObjectsKHR"}
+TAKE, GIVE = "clEnqueueAcquireExternalMemObjectsKHR", "clEnqueueReleaseExternalMemObjectsKHR"
 
 
 def real(name, handle):
@@ -41,22 +31,18 @@ class FakeDriver:
     """Keeps what belongs to whom: `acquired`, buffers that OpenCL may use. `calls`: (name, what it was about)."""
 
     def __init__(self, device):
-        self.device, self.calls, self.memory, self.acquired, self.kept, self.events = device, [], {}, set(), [], []
+        self.device, self.calls, self.memory, self.acquired, self.events = device, [], {}, set(), []
         self.signaled = {}  # semaphores of the other API, by name; OpenCL's handles are those + SEMAPHORES
         self.functions = {
             "clGetDeviceInfo": (INT, (P, UINT, SIZE, P, P), self.device_info),
-            "clGetGLContextInfoKHR": (INT, (P, UINT, SIZE, P, P), self.gl_context_info),
-            "clCreateContext": (P, (P, UINT, P, P, P, P), self.create_context),
-            "clCreateFromGLBuffer": (P, (P, ULONG, UINT, P), self.from_gl),
             "clCreateBufferWithProperties": (P, (P, P, ULONG, SIZE, P, P), self.with_properties),
             "clCreateSemaphoreWithPropertiesKHR": (P, (P, P, P), self.semaphore),
             "clReleaseSemaphoreKHR": (INT, (P,), self.drop_semaphore),
             "clEnqueueWaitSemaphoresKHR": (INT, (P, UINT, P, P, UINT, P, P), self.switch(False)),
             "clEnqueueSignalSemaphoresKHR": (INT, (P, UINT, P, P, UINT, P, P), self.switch(True)),
         }
-        for kind in KINDS.values():
-            for verb in (TAKE, GIVE):
-                self.functions[f"clEnqueue{verb}{kind}"] = (INT, (P, UINT, P, UINT, P, P), self.mover(verb, kind))
+        for call in (TAKE, GIVE):
+            self.functions[call] = (INT, (P, UINT, P, UINT, P, P), self.mover(call))
         self.callbacks = {
             name: ct.CFUNCTYPE(result, *given)(call) for name, (result, given, call) in self.functions.items()
         }
@@ -73,51 +59,26 @@ class FakeDriver:
         SIZE.from_address(nbytes).value = ct.sizeof(types)
         return 0
 
-    def gl_context_info(self, properties, what, room, values, nbytes):
-        told = (ct.c_ssize_t * 7).from_address(properties)
-        assert (what, room) == (0x2006, ct.sizeof(P))
-        self.calls.append(("context info", list(told)))
-        is_ours = told[1] == GL_CONTEXT
-        P.from_address(values).value = self.device.cl_device.int_ptr if is_ours else None
-        SIZE.from_address(nbytes).value = ct.sizeof(P) * is_ours
-        return 0
-
-    def create_context(self, properties, count, devices, callback, user, error):
-        assert (count, P.from_address(devices).value) == (1, self.device.cl_device.int_ptr)
-        self.calls.append(("create context", list((ct.c_ssize_t * 7).from_address(properties))))
-        self.kept.append(cl.Context([self.device.cl_device]))
-        real("clRetainContext", self.kept[-1].int_ptr)
-        INT.from_address(error).value = 0
-        return self.kept[-1].int_ptr
-
-    def from_gl(self, context, flags, name, error):
-        self.calls.append(("from GL", (flags, name)))
-        return self._buffer(context, name, error)
-
     def with_properties(self, context, properties, flags, nbytes, host, error):
         told = list((ULONG * 3).from_address(properties))
         assert host is None
         self.calls.append(("with properties", (told, flags, nbytes)))
-        return self._buffer(context, told[1], error, nbytes)
-
-    def _buffer(self, context, name, error, nbytes=None):
-        """What the other API has under this name; the caller gets a reference of its own."""
-        INT.from_address(error).value = 0 if name in self.memory else INVALID_VALUE
-        if name not in self.memory:
+        memory = self.memory.get(told[1])
+        INT.from_address(error).value = 0 if memory else INVALID_VALUE
+        if not memory:
             return None
-        memory = self.memory[name]
-        assert memory.context.int_ptr == context and nbytes in (None, memory.size)
+        assert memory.context.int_ptr == context and nbytes == memory.size
         real("clRetainMemObject", memory.int_ptr)
         return memory.int_ptr
 
-    def mover(self, verb, kind):
+    def mover(self, call):
         def move(queue, count, buffers, waits, events, event):
             given = set((P * count).from_address(buffers)) if count else set()
             awaited = [cl.Event.from_int_ptr(e, retain=True) for e in (P * waits).from_address(events)] if waits else []
-            self.calls.append((f"{verb}{kind}", (count, waits)))
-            if (verb == TAKE and given & self.acquired) or (verb == GIVE and not given <= self.acquired):
+            self.calls.append((call, (count, waits)))
+            if (call == TAKE and given & self.acquired) or (call == GIVE and not given <= self.acquired):
                 return INVALID_OPERATION
-            self.acquired = self.acquired | given if verb == TAKE else self.acquired - given
+            self.acquired = self.acquired | given if call == TAKE else self.acquired - given
             return self._marked(queue, awaited, event)
 
         return move
@@ -159,12 +120,12 @@ class FakeDriver:
 def driver(device, monkeypatch):
     fake = FakeDriver(device)
     monkeypatch.setattr(sharing, "_address", fake.address)
-    says = "cl_khr_gl_sharing", "cl_khr_external_memory", "cl_khr_external_semaphore"
+    says = "cl_khr_external_memory", "cl_khr_external_semaphore"
     monkeypatch.setattr(sharing, "_extensions", lambda own: says if own.platform == device.cl_device.platform else ())
     return fake
 
 
-def loop(driver, shared, made_by, kind):
+def loop(driver, shared):
     """An engine's frames: rendered into shared memory, and shown from shared memory. Returns what it shows."""
     device, context, shown = shared.device, shared.device.context, []
     pipeline = Pipeline(device, W, H, Options(shading_correction=False))
@@ -173,9 +134,9 @@ def loop(driver, shared, made_by, kind):
     for slot in range(SLOTS):
         for part, nbytes in enumerate(sizes):
             driver.lend(context, 10 * slot + part + 1, nbytes)
-        slots.append([made_by(10 * slot + part + 1, nbytes) for part, nbytes in enumerate(sizes)])
+        slots.append([shared.buffer("opaque_fd", 10 * slot + part + 1, nbytes) for part, nbytes in enumerate(sizes)])
     driver.lend(context, 99, sizes[0])
-    out = made_by(99, sizes[0])
+    out = shared.buffer("opaque_fd", 99, sizes[0])
     driver.calls.clear()
     for k, frame in enumerate(frames(4)):
         buffers, before = slots[k % SLOTS], slots[(k - 1) % SLOTS] if k else []
@@ -192,8 +153,7 @@ def loop(driver, shared, made_by, kind):
         picture = np.empty((H, W, 4), np.float16)  # the other API shows it
         cl.enqueue_copy(other, picture, driver.memory[99])
         shown.append(picture[..., :3].tobytes())
-        taken_and_given = [(f"{verb}{KINDS[kind]}", (len(in_use), 1)) for verb in (TAKE, GIVE)]
-        assert driver.calls == taken_and_given and not driver.acquired
+        assert driver.calls == [(call, (len(in_use), 1)) for call in (TAKE, GIVE)] and not driver.acquired
         driver.calls.clear()
     return shown
 
@@ -206,23 +166,11 @@ def expected(device):
     return shown
 
 
-def test_frames_of_opengl(device, driver):
-    own = GlSharing.open_device(GL_CONTEXT, DISPLAY, "egl")
-    properties = [0x2008, GL_CONTEXT, 0x2009, DISPLAY, 0x1084, device.cl_device.platform.int_ptr, 0]
-    assert driver.calls == [("context info", properties), ("create context", properties)]
-    assert own.context == driver.kept[0]
-    shared = GlSharing(own)
-    assert loop(driver, shared, lambda name, nbytes: shared.buffer(name), "GL") == expected(device)
-    shared.buffer(99)
-    assert driver.calls == [("from GL", (1, 99))]
-
-
 def test_frames_of_vulkan(device, driver):
     own = Device.from_context(cl.Context([device.cl_device]))
     shared = MemorySharing(own)
-    assert sharing_support(own) == SharingSupport(True, ("opaque_fd", "dma_buf"), ("opaque_fd",))
-    shown = loop(driver, shared, lambda name, nbytes: shared.buffer("opaque_fd", name, nbytes), "memory")
-    assert shown == expected(device)
+    assert sharing_support(own) == SharingSupport(("opaque_fd", "dma_buf"), ("opaque_fd",))
+    assert loop(driver, shared) == expected(device)
     shared.buffer("dma_buf", 99, 8 * W * H)
     assert driver.calls == [("with properties", ([0x2067, 99, 0], 1, 8 * W * H))]
 
@@ -252,27 +200,22 @@ def test_semaphores_of_vulkan(device, driver):
 
 
 def test_references_are_the_callers_own(device, driver):
-    shared = GlSharing(GlSharing.open_device(GL_CONTEXT, DISPLAY))
+    shared = MemorySharing(Device.from_context(cl.Context([device.cl_device])))
     memory = driver.lend(shared.device.context, 5, 64)
     count = lambda: memory.get_info(cl.mem_info.REFERENCE_COUNT)  # noqa: E731
-    buffer = shared.buffer(5)
+    buffer = shared.buffer("opaque_fd", 5, 64)
     assert count() == 2
-    event = shared.acquire([buffer])
-    event.wait()
+    shared.acquire([buffer]).wait()
     shared.release([buffer]).wait()
     del buffer
     shared.device.queue.finish()
     assert count() == 1
-    (context,) = driver.kept
-    del shared
-    assert context.get_info(cl.context_info.REFERENCE_COUNT) >= 1
 
 
 def test_wrong_calls(device, driver):
-    own = GlSharing.open_device(GL_CONTEXT, DISPLAY)
-    gl, memory = GlSharing(own), MemorySharing(own)
-    driver.lend(own.context, 5, 64)
-    buffer = gl.buffer(5)
+    shared = MemorySharing(Device.from_context(cl.Context([device.cl_device])))
+    driver.lend(shared.device.context, 5, 64)
+    buffer = shared.buffer("opaque_fd", 5, 64)
     foreign = cl.UserEvent(device.context)
 
     def refused(text, call, *arguments):
@@ -280,39 +223,28 @@ def test_wrong_calls(device, driver):
             call(*arguments)
         assert "\n" not in str(told.value)
 
-    refused("no OpenCL driver shares with this OpenGL context", GlSharing.open_device, GL_CONTEXT + 1, DISPLAY)
-    refused("window_system must be one of egl, glx, wgl, got", GlSharing.open_device, GL_CONTEXT, DISPLAY, "x11")
-    refused("gl_context must be a whole number", GlSharing.open_device, None, DISPLAY)
-    refused("display must be a whole number", GlSharing.open_device, GL_CONTEXT, 0)
-    refused("name must be a whole number", gl.buffer, 0)
-    refused("clCreateFromGLBuffer failed: OpenCL error -30", gl.buffer, 6)
-    refused("kind must be one of opaque_fd, dma_buf, got", memory.buffer, "d3d12_heap", 5, 64)
-    refused("handle must be a whole number", memory.buffer, "opaque_fd", -1, 64)
-    refused("nbytes must be a whole number from 1", memory.buffer, "opaque_fd", 5, 0)
-    refused("clCreateBufferWithProperties failed: OpenCL error -30", memory.buffer, "opaque_fd", 6, 64)
-    refused("buffers must be a list of pyopencl.Buffers, got 5", gl.acquire, 5)
-    refused(r"wait_for\[0\] belongs to another OpenCL context", gl.acquire, [buffer], [foreign])
-    gl.acquire([buffer])
-    refused("clEnqueueAcquireGLObjects failed: OpenCL error -59", gl.acquire, [buffer])
-    gl.release([buffer])
-    refused("clEnqueueReleaseExternalMemObjectsKHR failed: OpenCL error -59", memory.release, [buffer])
-    driver.callbacks.pop("clEnqueueAcquireExternalMemObjectsKHR")
-    refused("neither the driver .* nor the OpenCL loader has clEnqueueAcq", memory.acquire, [buffer])
-    refused("device must be an open Device", sharing_support, own.context)
+    refused("kind must be one of opaque_fd, dma_buf, got", shared.buffer, "opaque_win32", 5, 64)
+    refused("handle must be a whole number", shared.buffer, "opaque_fd", -1, 64)
+    refused("nbytes must be a whole number from 1", shared.buffer, "opaque_fd", 5, 0)
+    refused("clCreateBufferWithProperties failed: OpenCL error -30", shared.buffer, "opaque_fd", 6, 64)
+    refused("buffers must be a list of pyopencl.Buffers, got 5", shared.acquire, 5)
+    refused(r"wait_for\[0\] belongs to another OpenCL context", shared.acquire, [buffer], [foreign])
+    shared.acquire([buffer])
+    refused(f"{TAKE} failed: OpenCL error -59", shared.acquire, [buffer])
+    shared.release([buffer])
+    refused(f"{GIVE} failed: OpenCL error -59", shared.release, [buffer])
+    driver.callbacks.pop(TAKE)
+    refused("neither the driver .* nor the OpenCL loader has clEnqueueAcq", shared.acquire, [buffer])
+    refused("device must be an open Device", sharing_support, shared.device.context)
 
 
 def test_what_drivers_say(device):
     """... and where they offer nothing, one line says so."""
     support, extensions = sharing_support(device), device.cl_device.extensions.split()
-    assert support.opengl == ("cl_khr_gl_sharing" in extensions)
     assert bool(support.memory) == ("cl_khr_external_memory" in extensions)
-    for kind, offered in ((GlSharing, support.opengl), (MemorySharing, support.memory)):
-        if not offered:
-            with pytest.raises(GffeError, match=r"the driver does not offer .*\(cl_khr_\w+\) \(see sharing_support\)"):
-                kind(device)
-    if not support.opengl:
-        with pytest.raises(GffeError, match="no OpenCL driver shares with this OpenGL context"):
-            GlSharing.open_device(GL_CONTEXT, DISPLAY)
+    if not support.memory:
+        with pytest.raises(GffeError, match=r"does not offer external memory \(cl_khr_\w+, see sharing_support\)"):
+            MemorySharing(device)
 
 
 def test_functions_are_found_in_the_real_loader(device):
