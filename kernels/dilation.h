@@ -4,7 +4,7 @@
 #include "stencil.h"
 #include "thresholds.h"
 
-/* What set the reach: docs/performance.md, "Other methods". */
+/* What set the reach: docs/evaluation.md, "Methods". */
 #define STEPS 32.0f     /* of a word, per pixel */
 #define ZERO 32768.0f   /* a component of 0 in a word; no word is NOBODY */
 #define LONGEST 1023.0f /* px: longer vectors are not carried */

@@ -18,7 +18,7 @@ from typer.main import get_command
 import gffe_cl
 from gffe_cl import cli
 from gffe_cl.captures.sequence.description import Description, FrameEntry, describe
-from gffe_cl.cli.commands import RENAMED, app
+from gffe_cl.cli.commands import app
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -80,22 +80,6 @@ def test_commands_that_prose_names_exist():
             assert {word for word in words if re.match(r"--?[a-z]", word)} <= known, f"{name}: gffe {quoted}"
 
 
-def test_options_that_prose_names_exist():
-    others = {"--logdir", "--nproc-per-node", "--write", "--editable", "--all-files", "--scene"}  # of other programs
-    others |= {"--cases", "--minutes", "--arguments", "--measure", "--tables", "--scenes"}  # of scripts in docs
-    others |= {"--setup", "--rocm", "--old"}  # of gpu_compilers.py and compare_speed.py in docs/tools
-    others |= {"--offscreen", "--rate", "--shown", "--game", "--variable", "--rendering", "--making"}  # of the examples
-    others |= {"--uneven", "--stall", "--resize", "--cut", "--lose", "--load", "--compare"}
-    others |= {"--path", "--video-driver", "--audio-driver", "--fixed-fps"}  # of Godot
-    others |= {"--from", "--no-deps"}  # of uvx and pip
-    others |= {"--build", "--capture", *RENAMED}  # of CMake and the sample in C++; older names
-    others |= {"--sharpening", "--scheduler", "--gae", "--io"}  # that the changelog has removed
-    others |= {"--python", "--every", "--between", "--no-truth", "--overwrite"}  # of Blender and its script
-    known = {f for c in get_command(app).commands.values() for p in c.params for f in (*p.opts, *p.secondary_opts)}
-    for name, text in TEXTS.items():
-        assert set(re.findall(r"(?<![\w-])--[a-z][a-z-]+", text)) - {"--help", *others} <= known, name
-
-
 def _anchors(text):
     headings = re.findall(r"^#+ (.+)$", _without_blocks(text), re.M)
     made = []
@@ -151,9 +135,8 @@ def test_tables_are_up_to_date():
 
 
 def test_tables_of_performance_are_those_of_the_records():
-    from make_performance import TABLES, methods_plot, with_tables, with_times
+    from make_performance import TABLES, with_tables, with_times
 
-    assert methods_plot() == (ROOT / "docs" / "pictures" / "methods.svg").read_text()
     page = TEXTS["docs/performance.md"]
     assert with_tables(page) == page, "run python docs/tools/make_performance.py"
     readme = TEXTS["README.md"]

@@ -7,7 +7,6 @@
 - `gain_*`: the part that gains most from a module beyond the paper: without it, with it, and the truth.
 - `shading`: the part that gains most from shading correction, with the network's whole image and both focus masks.
 - `situations`: of every situation, the part of its region where the paper's way is worst.
-- `upscaling_*`: a part of a rendered frame, resampled, upscaled and true, enlarged.
 """
 
 from __future__ import annotations
@@ -22,7 +21,6 @@ from pages import PICTURES
 from PIL import Image
 from scipy.ndimage import uniform_filter
 from situation_regions import region_of_situation, submitted_frames
-from upscaling_defects import SCALE, SEED, pipeline_of, shown_by
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.opencl.device import Device, open_device
@@ -72,9 +70,6 @@ GAINS = {
 }
 SEARCHED = 8  # rendered frames
 SHADING = ("gallery", "courtyard")
-# Of a frame that is upscaled: its scene, and the upper left corner of the part.
-UPSCALED = {"teeth": ("factory", 240, 90), "thin": ("gallery", 240, 90), "shadows": ("courtyard", 170, 176)}
-UPSCALED_SIZE, UPSCALED_PART, ENLARGED = (480, 270), (80, 54), 4
 
 
 def gain_picture(device: Device, gain: Gain):
@@ -116,24 +111,6 @@ def shading_picture(device: Device):
         label = f"{name}, frame {k}, t + {ALPHA:g}, {SIZE[0]} x {SIZE[1]}, x = {x}, y = {y}"
         groups.append((label, [(caption, np.ascontiguousarray(image[part])) for caption, image in images.items()]))
     return contact_sheet(groups, columns=6, cell_width=264)
-
-
-def upscaled_picture(device: Device, scene_name: str, x: int, y: int):
-    """Return a picture of upscaling, without captions."""
-    scene = load_scene(scene_name, SEED)
-    truths = SceneRenderer(device, scene, *UPSCALED_SIZE, 8)
-    frames = SceneFrames.for_upscaling(device, scene, UPSCALED_SIZE, SCALE, truths=truths)
-    pipelines = [pipeline_of(device, UPSCALED_SIZE, upscale) for upscale in (0, SCALE)]
-    for pipeline in pipelines:
-        pipeline.exposure = scene.exposure
-    for frame in frames.sequence(11, scene.fps, 1.0):
-        for pipeline in pipelines:
-            pipeline.submit(frame)
-    truth = to_display(frames.truth(frame.time).read("color")[..., :3], scene.exposure)
-    shown = [*(shown_by(pipeline, scene.exposure) for pipeline in pipelines), truth]
-    rows, columns = slice(y, y + UPSCALED_PART[1]), slice(x, x + UPSCALED_PART[0])
-    parts = [image[rows, columns].repeat(ENLARGED, 0).repeat(ENLARGED, 1) for image in shown]
-    return Image.fromarray((255 * np.concatenate(parts, 1) + 0.5).astype(np.uint8))
 
 
 def situations_picture(device: Device):
@@ -227,7 +204,6 @@ def main() -> None:
     makers = {f"limit_{name}": partial(picture, device, limit) for name, limit in LIMITS.items()}
     makers |= {f"gain_{name}": partial(gain_picture, device, gain) for name, gain in GAINS.items()}
     makers |= {"shading": partial(shading_picture, device), "situations": partial(situations_picture, device)}
-    makers |= {f"upscaling_{name}": partial(upscaled_picture, device, *place) for name, place in UPSCALED.items()}
     for name in sys.argv[1:] or ["demo", *makers]:
         if name == "demo":
             first, *others = film(device)

@@ -6,7 +6,6 @@
     python docs/tools/make_results.py                        the tables, from what is recorded
 
 `TABLES` names them.
-The table of unseen sequences is from docs/measured/unseen.json, which docs/unseen/make_unseen.py writes.
 """
 
 from __future__ import annotations
@@ -35,7 +34,6 @@ SHORT = (
     "guided",
     "interpolation",
 )
-UNSEEN = MEASURED / "unseen.json"
 README_ROWS = {  # and their titles there, where others than in the results
     "repeat": "",
     "motion-vectors": "motion vectors, in image space",
@@ -154,27 +152,6 @@ def paper_table(found: dict) -> str:
     return table(("the paper, against its full method", "PSNR, dB", "SSIM"), rows)
 
 
-def unseen_table(found: dict) -> str:
-    """Return PSNR, SSIM and FLIP of the latest figures on unseen sequences, with the PSNR of earlier ones beside."""
-    *earlier, latest = json.loads(UNSEEN.read_text("utf-8"))
-    titles = {method["name"]: method["title"] for method in latest["methods"]}
-    columns = [COLUMNS[name] for name in ("psnr", "ssim", "flip")]
-    rows = []
-    for cell in latest["cells"]:
-        before = (_psnr_of(one, cell["sequence"], cell["method"]) for one in earlier)
-        figures = (column.text(cell[column.name]) for column in columns)
-        rows.append((f"`{cell['sequence']}`", titles[cell["method"]], *before, *figures))
-    heads = (f"PSNR {one['label']} ({_commits(one)}), dB" for one in earlier)
-    made = table(("sequence", "method", *heads, *(c.title for c in columns)), rows)
-    occasions: dict[tuple[str, str, str], list[str]] = {}
-    for one in latest["sequences"]:
-        occasions.setdefault((one["commit"], one["date"], one["machine"]), []).append(f"`{one['name']}`")
-    measured = [
-        f"{', '.join(names)} at {commit}, {date}, on {machine}" for (commit, date, machine), names in occasions.items()
-    ]
-    return f"{made}\n\nMeasured ({latest['label']}): {'; '.join(measured)}."
-
-
 TABLES: dict[str, Callable[[dict], str]] = {
     "eval-about": about_table,
     "eval-methods": methods_table,
@@ -185,7 +162,6 @@ TABLES: dict[str, Callable[[dict], str]] = {
     "eval-budget": budget_table,
     "eval-late": late_table,
     "eval-paper": paper_table,
-    "unseen": unseen_table,
 }
 
 
@@ -198,15 +174,6 @@ def with_tables(text: str, found: dict | None = None) -> str:
 def _method_row(found: dict, mean: dict, columns: list) -> tuple[str, ...]:
     figures = (column.text(mean.get(column.name), column.name == "against").replace("-", "−") for column in columns)
     return (_title(found, mean), *figures)
-
-
-def _commits(found: dict) -> str:
-    return ", ".join(dict.fromkeys(one["commit"] for one in found["sequences"]))
-
-
-def _psnr_of(found: dict, sequence: str, method: str) -> str:
-    values = [c["psnr"] for c in found["cells"] if (c["sequence"], c["method"]) == (sequence, method)]
-    return COLUMNS["psnr"].text(values[0] if values else None)
 
 
 def _title(found: dict, mean: dict) -> str:
