@@ -5,6 +5,7 @@ Names of the API stand alone, commands and their options as they were typed: "gf
 
 GONE: dict[str, str] = {
     "GlSharing": "import memory of Vulkan by MemorySharing, or pass NumPy arrays to submit.",
+    "gffe check --html": "`--json FILE` has all findings and residuals.",
 }
 
 

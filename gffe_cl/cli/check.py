@@ -12,14 +12,12 @@ from gffe_cl.cli.common import (
     JsonOption,
     app,
     out,
-    output_file,
     plain,
     progress_bars,
     steps,
     write_json,
 )
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import write_text
 
 if TYPE_CHECKING:
     from gffe_cl.captures.doctor import Diagnosis
@@ -33,14 +31,6 @@ def check(
     sequence: Annotated[Path, typer.Argument(help="Folder of the capture to examine; see `gffe formats`.")],
     fix: Annotated[
         Path | None, typer.Option("--fix", help="Folder for a copy of the sequence with the faults repaired.")
-    ] = None,
-    html: Annotated[
-        Path | None,
-        typer.Option(
-            "--html",
-            help="HTML file for a page with residuals before and after the repair.",
-            callback=output_file("--html"),
-        ),
     ] = None,
     follow_links: FollowLinksOption = False,
     only: Annotated[
@@ -64,7 +54,7 @@ def check(
     from gffe_cl.captures.doctor import examine, open_for_check, require_findings, selected
     from gffe_cl.captures.doctor.choosing import fixed_by
     from gffe_cl.captures.doctor.findings import finding
-    from gffe_cl.captures.doctor.report import as_json, html_report, summary
+    from gffe_cl.captures.doctor.report import as_json, summary
 
     require_findings(only or (), "--only")
     require_findings(without or (), "--except")
@@ -83,8 +73,6 @@ def check(
         out.print(plain(line), soft_wrap=True)
     chosen = selected(diagnosis, only or (), without or ())
     document = as_json(diagnosis)
-    if html is not None:
-        write_text(html, html_report(opened, diagnosis, title, opened.exposure))
     if fix is not None:
         document |= _repair(opened, diagnosis, chosen, fix)
     elif diagnosis.faults and fixed_by(diagnosis):

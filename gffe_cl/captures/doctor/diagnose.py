@@ -10,7 +10,6 @@ import numpy as np
 
 from gffe_cl.captures.doctor.differences import faults_of, jitter_id, no_law_fault
 from gffe_cl.captures.doctor.dilation import dilation_notes
-from gffe_cl.captures.doctor.effects import effects_notes
 from gffe_cl.captures.doctor.evidence import set_aside_unwritten, too_few_usable
 from gffe_cl.captures.doctor.findings import (
     FAULT,
@@ -33,17 +32,14 @@ from gffe_cl.captures.doctor.hypotheses.sampling import NEXT, PREVIOUS, Clip, Lo
 from gffe_cl.captures.doctor.hypotheses.scoring import ResidualChange, color_gain, frame_offsets
 from gffe_cl.captures.doctor.hypotheses.search import Reading, Search, Verdict
 from gffe_cl.captures.doctor.hypotheses.transfer_function import display_curve_votes
-from gffe_cl.captures.doctor.hypotheses.world_shift import Shift, world_shift
 from gffe_cl.captures.doctor.limits import set_aside_cut_off
 from gffe_cl.captures.doctor.mends import Mend, MendedClip, OtherFrame, find_mend
 from gffe_cl.captures.doctor.quantization import are_sums, largest_step, motion_finding, motion_steps, precision_notes
-from gffe_cl.captures.doctor.regions import region_findings
 from gffe_cl.captures.doctor.repeated_frames import RepeatedFrames, repeated_frames
 from gffe_cl.captures.doctor.repeated_pixels import repeated_pixel_notes
 from gffe_cl.captures.doctor.user_interface import user_interface_notes
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.engine.core.validation import QUIETLY
-from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels
 
 _DEEP = 5  # frames that are looked at closely, with those before and after them
@@ -189,12 +185,11 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     _tell_residuals(found, search_of)
     _judge_order(found, looks, _breaks(found, clip, exposure), _ends(count, mends.steady))
     _note_late(found, clip.rendered)
-    found.findings += region_findings(search, found.reading)
     _note_sky(found, search)
     _judge_colors(found)
     if not found.faults:
         found.findings += dilation_notes(clip, deep)
-        found.findings += [*user_interface_notes(clip, deep, exposure), *effects_notes(clip, deep, exposure)]
+        found.findings += user_interface_notes(clip, deep, exposure)
     found.findings += [*mends.findings, *repeated_pixel_notes(clip, deep)]
     if all(fault.is_of_jitter for fault in found.faults):
         found.findings += geometry_jitter_notes(clip, deep, exposure, bool(found.faults))
@@ -431,12 +426,11 @@ def _tell_residuals(found: Diagnosis, search_of: Callable[[tuple[str, ...]], Sea
         found.findings.append(finding("frames: unexplained"))
 
 
-def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | Shift | None]:
+def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | None]:
     """Return the frames that follow the one before although depth and cameras do not fit the vectors. Gaps, at which
-    depth and cameras lead to the same colors and the vectors elsewhere, have their `_stretch`. Where the vectors lead
-    to the same colors, and the cameras elsewhere, the world was shifted."""
+    depth and cameras lead to the same colors and the vectors elsewhere, have their `_stretch`."""
     assert found.order is not None and found.best is not None  # examined before
-    gaps: dict[int, float | Shift | None] = {}
+    gaps: dict[int, float | None] = {}
     for index in found.order.misfits[:_MOST_GAPS]:
         pair = with_rows(take_looks(clip, (index - 1, index), _SAMPLES, {index - 1}, exposure), found.reading.rows)
         look = pair[index]
@@ -444,23 +438,7 @@ def _breaks(found: Diagnosis, clip: Clip, exposure: float) -> dict[int, float | 
             search = Search([look])
             if search.camera_color(found.reading.camera, found.reading.depth) > _SAME_SHOT * found.best.camera_color:
                 gaps[index] = _stretch(search, found.reading)
-            elif (shift := _shift(search, found, clip.rendered[max(index - 2, 0)].render_camera)) is not None:
-                gaps[index] = shift
     return gaps
-
-
-def _shift(search: Search, found: Diagnosis, earlier: Camera | None) -> Shift | None:
-    """Return the shift of the world before the only look of `search`; None if colors along its vectors do not match as
-    well as usual, or if no shift explains them."""
-    motion = found.reading.motion
-    assert found.order is not None and found.best is not None  # examined before
-    if motion.step != PREVIOUS or motion.held_by or found.reading.jitter:
-        return None
-    if not search.motion_color(motion) > _SAME_SHOT * found.best.motion_color:
-        return None
-    length = float(np.nanmedian(np.linalg.norm(search.full.motion(motion), axis=-1)))
-    usual = float(np.nanmedian(list(found.order.fits.values())))
-    return world_shift(search, found.reading, earlier, max(0.1 * length, _VISIBLE, found.step), _SAME_SHOT * usual)
 
 
 def _stretch(search: Search, reading: Reading) -> float | None:
@@ -483,7 +461,7 @@ def _ends(count: int, steady: set[int]) -> dict[int, str]:
 
 
 def _judge_order(
-    found: Diagnosis, looks: dict[int, Look], breaks: dict[int, float | Shift | None], ends: dict[int, str]
+    found: Diagnosis, looks: dict[int, Look], breaks: dict[int, float | None], ends: dict[int, str]
 ) -> None:
     """Add findings about frames that do not follow the one before them. `breaks`: of `_breaks`; `ends`: frames that
     another fault explains as well."""
@@ -494,29 +472,13 @@ def _judge_order(
         found.findings.append(finding("frames: out of order", frames=moved))
         return
 
-    def add(entry: str, index: int, figures: dict | None = None, **values) -> None:
-        figures = {"frame": index} | (figures or {})
-        found.findings.append(finding(entry, figures, frame=index, file=looks[index].file, **values))
+    def add(entry: str, index: int, **values) -> None:
+        found.findings.append(finding(entry, {"frame": index}, frame=index, file=looks[index].file, **values))
 
     for index in [k for k in order.misfits if k in ends]:
         add("frames: misfit at the end", index, when=ends[index])
     breaks = {index: one for index, one in breaks.items() if index not in ends}
-    shifts = {index: one for index, one in breaks.items() if isinstance(one, Shift)}
-    undone: set[int] = set()  # where the next frame goes back: one camera is off
-    for k, shift in shifts.items():
-        if k - 1 not in undone and k + 1 in shifts and shift.is_undone_by(shifts[k + 1]):
-            undone.add(k)
-    for index, shift in shifts.items():
-        if index - 1 in undone:
-            continue
-        look, figures, whose = looks[index], {"matrix": shift.matrix.tolist()}, {}
-        if index in undone:
-            same = np.array_equal(look.camera.world_to_view, look.camera_of(PREVIOUS).world_to_view)
-            whose = {"is_whose": "is that of the frame before" if same else "is not where those beside it lead"}
-        add("camera: off in one frame" if whose else "camera: origin shifted", index, figures, shift=shift, **whose)
     for index, factor in breaks.items():
-        if isinstance(factor, Shift):
-            continue
         length = f"; they are {factor:.2f} times as long as by depth and cameras" if factor else ""
         add("frames: gap", index, length=length, doubt="" if factor and factor > 1 else "; a frame may be missing")
     for index in (k for k in order.misfits if order.fits[k] < _CUT and k not in breaks and k not in ends):

@@ -12,8 +12,7 @@ FAULT, WARNING, NOTE, UNKNOWN = "fault", "warning", "note", "cannot tell"
 DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, LOGARITHMIC = "display values", "bottom-up", "range", "logarithmic"
 NEVER_WRITTEN, UNEXPLAINED, NO_LAW = "never written", "unexplained", "no known law"
 DILATED, INTERFACE, REPEATED = "dilated", "user interface", "repeated"
-TWICE, ORIGIN_SHIFTED, ONE_OFF = "recorded twice", "origin shifted", "off in one frame"
-IN_PART = "partly another convention"
+TWICE = "recorded twice"
 JITTER, NO_JITTER = "jitter not removed", "jitter missing"
 OTHER_FRAME = "one frame late", "one frame early"  # buffers, and cameras
 _MOST_NAMED = 12
@@ -159,12 +158,6 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
     (FAULT, "focal lengths are divided"): {
         "camera: field of view": "the field of view is off: focal lengths are {percent:.1f}% too {long}",
     },
-    (FAULT, "cameras are moved back"): {
-        "camera: origin shifted": "from frame {frame} ({file}) on all cameras are {shift}: the origin of the world was"
-        " shifted, as vectors and colors continue without a break",
-        "camera: off in one frame": "the camera of frame {frame} ({file}) {is_whose}, while vectors and colors continue"
-        " without a break: it is {shift} against what they show",
-    },
     (FAULT, "matrices are transposed"): {
         "camera: transposed": "camera matrices are transposed: they are for row vectors, the translation is in the last"
         " row",
@@ -181,7 +174,6 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
     },
     (FAULT, ""): {
         "color: repeated": "{frames_have} the color of the frame before, to the bit, although vectors move",
-        "motion: partly another convention": "in {part}, and only there: {convention}",
         "motion: jitter differs": "motion vectors and cameras differ by another part of a pixel in every frame:"
         " jitter is in one of them alone, and colors do not tell which of them is right",
         "camera: jitter differs": "motion vectors and cameras differ by another part of a pixel in every frame:"
@@ -213,8 +205,6 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
         "frames: reset": "{frames_are}: what leads across is left out",
         "frames: late": "frame {frame} ({file}) comes {intervals:.3g} intervals after the frame before: if one is"
         " missing, its vectors lead there, and it must be a reset",
-        "frames: several views": "{part} fits another camera than the rest: one picture of several views? (expected one"
-        " sequence, and one pipeline, for each)",
         "motion: quantized": "vectors are quantized in steps of {grid}, {x} distinct values in x and {y} in y{code}"
         "{added}: slow objects shake a little",
         "motion: never written": "{share} of the motion vectors {what}{value}: they count as unknown",
@@ -235,9 +225,6 @@ _TABLE: dict[tuple[str, str], dict[str, str]] = {
         "color: 8 bits linear": "colors are 8-bit numbers that are read as linear light; such files usually hold"
         " display"
         ' values (of a gffe-folder expected "encoding": "srgb")',
-        "color: moves by itself": "in {share:.0%} of the picture colors move over a surface otherwise than its"
-        " vectors: an effect without depth (smoke, fire, a trail), a shadow or a reflection. New frames carry it with"
-        " the surface; what can be drawn after extrapolation, like a user interface, stays sharp",
         **{
             f"{about}: repeated": f"repeated: {{width}}×{{height}} different pixels of {words} fill {{all}} (give"
             " them in the size they were rendered in, by geometry_size of a FrameFormat or a RenderedFrame: about 0.8"

@@ -9,13 +9,10 @@ from gffe_cl.captures.doctor.diagnose import Diagnosis, examine
 from gffe_cl.captures.doctor.findings import (
     BOTTOM_UP,
     DILATED,
-    IN_PART,
     INTERFACE,
     JITTER,
     NO_JITTER,
     NOTE,
-    ONE_OFF,
-    ORIGIN_SHIFTED,
     OTHER_FRAME,
     REPEATED,
     UNEXPLAINED,
@@ -32,7 +29,7 @@ from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, requ
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, described_arrays, host_arrays
 
 _FRAMES = 5  # of a sequence, before it is extrapolated
-_TOLD = ("cut off", "several views", INTERFACE, REPEATED, DILATED)  # notes that this form names, too
+_TOLD = ("cut off", INTERFACE, REPEATED, DILATED)  # notes that this form names, too
 _DOUBTS = ("misfit at the end", "of another frame")  # the same, of what cannot be told
 _SUBJECTS = {"motion": "motion vectors are ", "depth": "depth is "}
 _UNKNOWN = "cannot tell whether the frames fit"
@@ -139,13 +136,13 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
     causes = [fault for fault in faults if fault.about != "frames"]
     if not diagnosis.compared or not (causes or faults[0].name == UNEXPLAINED):
         return str(faults[0])
-    if len(faults) == 1 and faults[0].name in (IN_PART, *OTHER_FRAME):
+    if len(faults) == 1 and faults[0].name in OTHER_FRAME:
         return faults[0].sentence
     likely = f", most likely {_names(causes)}" if causes else ""
     if causes and all(fault.is_of_jitter for fault in causes):
         return f"{_JITTERED} {_ALONE if causes[0].name in (JITTER, NO_JITTER) else _DIFFERS}{likely}"
-    # Vectors and depth are right here, or most cameras: the median is small.
-    if causes and all(fault.about == "color" or fault.name in (ORIGIN_SHIFTED, ONE_OFF) for fault in causes):
+    # Vectors, depth and cameras are right here: the median is small.
+    if causes and all(fault.about == "color" for fault in causes):
         return str(causes[0])
     median = diagnosis.residuals["given_median"]
     return f"motion vectors do not fit depth and cameras (median {median:.3g} px){likely}"

@@ -10,7 +10,6 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis
-from gffe_cl.captures.doctor.findings import ONE_OFF, ORIGIN_SHIFTED
 from gffe_cl.captures.doctor.hypotheses.depths import (
     AS_GIVEN,
     DEVICE,
@@ -54,12 +53,6 @@ class Repair:
         self._read = lru_cache(_KEPT)(lambda index: made.read(made.rendered[index]))
         self._rows = diagnosis.reading.rows
         self._cuts = {f.figures["frame"] for f in diagnosis.faults if f.name in ("cut", "gap")}
-
-        def matrices(name: str) -> dict[float, np.ndarray]:
-            figures = [fault.figures for fault in diagnosis.faults if fault.name == name]
-            return {clip.rendered[one["frame"]].time: np.array(one["matrix"]) for one in figures}
-
-        self._shifts, self._alone = matrices(ORIGIN_SHIFTED), matrices(ONE_OFF)
         self._comparisons: list[tuple[str, ResidualChange]] = []  # of the frames so far
         self._sky = any(f.name == "sky without motion" for f in diagnosis.findings)
         count = len(made.rendered)
@@ -122,16 +115,12 @@ class Repair:
         if compared is not None:
             self._comparisons.append((entries[index].file, compared))
 
-    def camera(self, camera: Camera, time: float) -> Camera:
-        """Return the repaired camera of the given one at a time in seconds, with its jitter completed."""
+    def camera(self, camera: Camera) -> Camera:
+        """Return the repaired camera of the given one."""
         read = self._reading.camera.read(camera)
-        shifts = [self._alone[time]] if time in self._alone else []
-        shifts += [shift for start, shift in sorted(self._shifts.items(), reverse=True) if start <= time]
-        if self._translation == 1 and not shifts:
+        if self._translation == 1:
             return read
         matrix = read.world_to_view.copy()
-        for shift in shifts:
-            matrix = matrix @ shift
         matrix[:3, 3] *= self._translation
         return replace(read, world_to_view=matrix)
 
@@ -145,9 +134,8 @@ class Repair:
 
     def _geometry(self, index: int, time: float, reset: bool) -> RenderedFrame:
         frame = self._read(index)
-        given = self._clip.rendered[index].time
-        display = frame.display_camera and self.camera(frame.display_camera, given)
-        camera = self.camera(frame.camera, given)
+        display = frame.display_camera and self.camera(frame.display_camera)
+        camera = self.camera(frame.camera)
         depth = self._planar(self._turned("depth", np.asarray(frame.depth)), camera)
         color = self.color(frame.color)
         return replace(frame, color=color, depth=depth, camera=camera, display_camera=display, time=time, reset=reset)
@@ -317,7 +305,7 @@ def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fr
         for entry in sequence.ground_truth:
             color = repair.color(sequence.read_color(entry))
             cameras = {
-                name: camera and repair.camera(camera, entry.time)
+                name: camera and repair.camera(camera)
                 for name, camera in (("render_camera", entry.render_camera), ("display_camera", entry.display_camera))
             }
             writer.add(replace(entry, **cameras), named_channels(color))

@@ -26,17 +26,11 @@ def test_the_command(gffe, tmp_path):
     )
     code, text, err = gffe("check", good, "--json", tmp_path / "good.json")
     assert (code, err) == (0, "") and json.loads((tmp_path / "good.json").read_text())["verdict"] == "fits"
-    code, text, err = gffe(
-        "check", bad, "--fix", tmp_path / "fixed", "--html", tmp_path / "page.html", "--json", tmp_path / "bad.json"
-    )
+    code, text, err = gffe("check", bad, "--fix", tmp_path / "fixed", "--json", tmp_path / "bad.json")
     document = json.loads((tmp_path / "bad.json").read_text())
     assert code == 1 and "negated" in text and "it fits now" in text
     assert [finding["name"] for finding in document["findings"] if finding["kind"] == "fault"] == ["negated"]
     assert document["residuals"]["given_median"] > 1 > 0.05 > document["residuals"]["read_median"]
-    page = (tmp_path / "page.html").read_text()
-    assert page.count("data:image/png;base64,") == 3 and "http" not in page
-    assert all(rule in page for rule in ("prefers-color-scheme: dark", "@media print", "minmax(min(420px, 100%)"))
-    assert re.search(r"residual as given, pixels: 0 \(black\) to [\d.]+ \(white\)", page)
     fixed = open_sequence(tmp_path / "fixed")
     assert_restored([fixed.read(entry) for entry in fixed.rendered])
 

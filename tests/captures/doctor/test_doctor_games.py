@@ -12,7 +12,6 @@ from synthetic import camera
 
 from gffe_cl.captures.doctor import examine, quick_warning
 from gffe_cl.captures.doctor.dilation import count_beside_edges, dilation_notes
-from gffe_cl.captures.doctor.effects import moving_colors
 from gffe_cl.captures.doctor.geometry_jitter import edge_shift, geometry_jitter_notes
 from gffe_cl.captures.doctor.repeated_pixels import distinct_size
 from gffe_cl.captures.sequence import open_sequence
@@ -165,31 +164,3 @@ def test_a_run_detects_the_user_interface_that_its_check_sees(gffe, tmp_path):
     assert alike("auto", "on") and not alike("auto", "off")
     code, _, error = gffe("run", hud, tmp_path / "wrong", "--ui-detection", "maybe")
     assert code == 2 and "--ui-detection must be one of auto, on, off" in " ".join(error.split())
-
-
-@pytest.mark.parametrize(("speed", "is_named"), [((2, -2), True), (None, False)])
-def test_effects_without_depth_are_named(speed, is_named):
-    """Smoke drifts over the lower part of the picture, or sticks to the surfaces."""
-    rng = np.random.default_rng(3)
-    smoke = np.kron(rng.random((40, 60)), np.ones((6, 6)))[..., None] * (0.3, 0.3, 0.32)
-    frames = []
-    for k, frame in enumerate(clip().images):
-        color = np.array(frame.color, np.float32)
-        if speed:
-            x, y = 60 + speed[0] * k, 60 + speed[1] * k
-            color[20:60, 20:100] = 0.4 * color[20:60, 20:100] + smoke[y : y + 40, x : x + 80]
-        frames.append(replace(frame, color=color.astype(np.float16)))
-    found = [f for f in examine(Kept(frames)).findings if f.id == "color-moves-by-itself"]
-    assert bool(found) == is_named
-    assert not found or (found[0].kind == "note" and found[0].figures["share"] < 0.3)
-
-
-def test_what_comes_into_view_is_no_effect():
-    """A post moves aside: the frame before shows it where it shows nothing of the wall behind."""
-
-    def with_post(left):
-        color, depth, motion = np.full((64, 96, 3), 0.2, np.float16), np.full((64, 96), 10.0), np.zeros((64, 96, 2))
-        color[:, left : left + 24], depth[:, left : left + 24], motion[:, left : left + 24] = 0.9, 2.0, (24, 0)
-        return RenderedFrame(color, depth.astype(np.float32), motion.astype(np.float32), clip().images[0].camera, 0.0)
-
-    assert not moving_colors(with_post(20), with_post(44), 1.0).any()
