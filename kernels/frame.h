@@ -51,6 +51,8 @@ typedef struct {
     float camera_step; /* world units that the camera moved since the frame before */
     float motion_invalid; /* the stored number of unwritten vectors; NaN: there is none */
     int depth_law; /* of given depth */
+    int rows_up; /* whether the first rows of given buffers are the lowest ones */
+    int color_srgb; /* whether given color is sRGB instead of linear */
     int has_overlays; /* that the rendered frame brings, in the order of the host's `OVERLAYS` */
     /* Facts: options, and decisions of stages at construction. */
     int motion; /* whether motion is estimated */

@@ -14,6 +14,10 @@
 #define DEPTH_MOST 1e37f  /* beyond, squares and products overflow */
 #define RUN_PIXELS 31  /* for each lane: a byte holds the count of 8 lanes */
 
+/* Of sRGB: values up to the toe are linear. */
+#define SRGB_TOE 0.04045f
+#define SRGB_LEAST 0.09f /* (toe + .055) / 1.055, rounded down */
+
 /* Of dilated motion. */
 #define SQUARE 5      /* samples, the side of the square that is looked at */
 #define MIDDLE (SQUARE * SQUARE / 2)
@@ -25,8 +29,8 @@
 /* Types of given values. Integers stand for 0 to 1, or -1 to 1 (SNORM16); UNORM24 are the low bits of 32. */
 enum { NO_BUFFER, FLOAT32, FLOAT16, UNORM8, UNORM16, SNORM16, UNORM24 };
 
-/* What is linear in given depth: planar depth, 1 / depth of a depth buffer, or the logarithm. */
-enum { DEPTH_LINEAR, DEPTH_DEVICE, DEPTH_LOGARITHMIC };
+/* What is linear in given depth: planar depth, 1 / depth of a depth buffer, the logarithm, or the distance. */
+enum { DEPTH_LINEAR, DEPTH_DEVICE, DEPTH_LOGARITHMIC, DEPTH_DISTANCE };
 #define MOST_POWER 87.0f /* of e, in a float */
 
 /* What given motion vectors have of the camera's motion. */
@@ -55,6 +59,9 @@ INLINE void store_counts(const int width, const int height, const int plane, con
     counts[place] = first;
     counts[runs * height + place] = second;
 }
+
+/* Row of a given buffer of `height` rows that holds row y, counted down. */
+INLINE int given_row(const bool rows_up, const int height, const int y) { return rows_up ? height - 1 - y : y; }
 
 /* The buffer from its value `start` on. */
 INLINE __global const float *given_from(__global const uchar *given, const int type, const int start) {
@@ -121,17 +128,30 @@ INLINE void load_given(__global const float *given, const int type, const int ch
     for (int part = 0; part < PARTS; ++part) s->part[part] = reload_texels(part, texels);
 }
 
+/* Linear light of sRGB (IEC 61966-2-1), without an upper limit. */
+INLINE Floats linear_of_srgb(const Floats c) {
+    const Floats lifted = (c + 0.055f) * (1.0f / 1.055f), low = lifted > SRGB_LEAST ? lifted : (Floats)(SRGB_LEAST);
+    const Floats power = 2.4f * log_of(low > COLOR_MAX ? (Floats)(COLOR_MAX) : low);
+    const Floats curve = exp_less_one(power) + 1.0f;
+    return c <= SRGB_TOE ? c * (1.0f / 12.92f) : isfinite(c) ? curve : c;
+}
+
 /* NaN counts as 0; infinities and values beyond half are clamped. */
 INLINE void take(const int width, const int height, __global const float *given, const int type, const int channels,
-                 __global half *color, __global uchar *bad_pixels) {
-    const int y = get_global_id(1);
+                 const bool rows_up, const bool is_srgb, __global half *color, __global uchar *bad_pixels) {
+    const int y = get_global_id(1), row = given_row(rows_up, height, y);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
     int infinite = 0, clamped = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
         const int x = run_x(width, k), count = width - x, i = y * width + x;
         if (count <= 0) break;
         Strip s;
-        load_given(given, type, channels, i, count, &s);
+        load_given(given, type, channels, row * width + x, count, &s);
+        if (is_srgb) {
+            Wide4 rgb = channels_of_strip(&s);
+            for (int c = 0; c < 3; ++c) rgb.c[c] = linear_of_srgb(rgb.c[c]);
+            s = strip_of(rgb);
+        }
         bool good = true;
         for (int part = 0; part < PARTS; ++part) good &= ALL_TEXELS(fabs(s.part[part]) <= COLOR_MAX);
         if (!good) {
@@ -153,8 +173,8 @@ INLINE void take(const int width, const int height, __global const float *given,
 /* Floats or halves. */
 WIDE __kernel void take_color(const int width, const int height, __global const uchar *given, const int start,
                               const int type, const int channels, __global half *color, __global uchar *bad_pixels) {
-    take(width, height, given_from(given, type, start), type == FLOAT32 ? FLOAT32 : FLOAT16, channels, color,
-         bad_pixels);
+    take(width, height, given_from(given, type, start), type == FLOAT32 ? FLOAT32 : FLOAT16, channels, false, false,
+         color, bad_pixels);
 }
 
 /* Color of any type that a description allows, on its way from host or device. */
@@ -162,7 +182,7 @@ WIDE __kernel void convert_color(__constant Frame *restrict frame, __global cons
                                  __global half *color, __global uchar *bad_pixels) {
     const int type = frame->given_types.x;
     take(frame->source_width, frame->source_height, given_from(given, type, start), type, frame->given_channels.x,
-         color, bad_pixels);
+         frame->rows_up, frame->color_srgb, color, bad_pixels);
 }
 
 /* Bad is depth that is NaN, not positive or denormal. Finite depth beyond DEPTH_MOST becomes sky. */
@@ -247,17 +267,28 @@ INLINE Floats depth_of_logarithm(const Floats logarithm, const float near) {
     return near + (near > 0.0f ? near : 1.0f) * exp_less_one(low > MOST_POWER ? (Floats)(MOST_POWER) : low);
 }
 
-/* Planar depth of stored numbers. Depth of a buffer beyond its range, or at the far end as when cleared, is sky. */
-INLINE Floats planar_depth(__constant Frame *frame, const Floats stored) {
+/* Planar depth of stored numbers, or distance. Depth of a buffer beyond its range, or at the far end as when cleared,
+ * is sky. */
+INLINE Floats depth_of_stored(__constant Frame *frame, const Floats stored) {
     const float4 numbers = frame->given_depth;  /* factor, origin, addend, sky */
     if (frame->depth_law == DEPTH_LOGARITHMIC) {
         const Floats z = depth_of_logarithm(numbers.x * (stored - numbers.y), numbers.z);
         return stored == numbers.w ? (Floats)(INFINITY) : z;
     }
     const Floats value = numbers.x * (stored - numbers.y) + numbers.z;
-    if (frame->depth_law == DEPTH_LINEAR) return value;
+    if (frame->depth_law == DEPTH_LINEAR || frame->depth_law == DEPTH_DISTANCE) return value;
     const Ints is_sky = (stored == numbers.w) | (value <= 1.0f / DEPTH_MOST);
     return is_sky ? (Floats)(INFINITY) : wide_divide((Floats)(1.0f), value);
+}
+
+/* Planar depth of what is stored at pixel (px_x, px_y) of the geometry: distances are along the rays. */
+INLINE Floats planar_depth(__constant Frame *frame, const Floats stored, const int px_x, const int px_y) {
+    const Floats z = depth_of_stored(frame, stored);
+    if (frame->depth_law != DEPTH_DISTANCE) return z;
+    const float4 from = frame->from_geometry, inverse = frame->to_previous.source_inverse;
+    const Floats x = (row_centers(px_x) * from.x + from.z - inverse.z) * inverse.x;
+    const float y = ((px_y + 0.5f) * from.y + from.w - inverse.w) * inverse.y;
+    return wide_divide(z, wide_root(1.0f + x * x + y * y));
 }
 
 /* Motion of static points at depth z, in pixels of color: 0 where depth is invalid or there is no frame before, NaN
@@ -279,6 +310,7 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
                                     __global float *depth, __global float2 *motion, __global uchar *bad_pixels) {
     const int width = frame->geometry_width, height = frame->geometry_height, y = get_global_id(1);
     if ((int)get_global_id(0) * LANES >= runs_of(width) || y >= height) return;
+    const int row = given_row(frame->rows_up, height, y);
     const int depth_type = frame->given_types.y, motion_type = frame->given_types.z;
     const int camera_motion = frame->given_types.w, channels = frame->given_channels.y;
     __global const float *depths = given_from(given_depth, depth_type, depth_start);
@@ -287,15 +319,15 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
     const float diagonal_squared = diagonal_squared_of(frame->source_width, frame->source_height);
     int bad_depth = 0, bad_motion = 0, far = 0, too_long = 0;
     for (int k = 0; k < RUN_PIXELS; ++k) {
-        const int x = run_x(width, k), count = width - x, i = y * width + x;
+        const int x = run_x(width, k), count = width - x, i = y * width + x, g = row * width + x;
         if (count <= 0) break;
-        const Floats given_z = planar_depth(frame, load_stored(depths, depth_type, i, 1, count));
+        const Floats given_z = planar_depth(frame, load_stored(depths, depth_type, g, 1, count), x, y);
         const Floats z = checked_depth(given_z, count, &bad_depth, &far);
         store_some_floats(z, count, depth + i);
         Floats motion_x = (Floats)(0.0f), motion_y = (Floats)(0.0f);
         if (motion_type != NO_BUFFER) {
             Floats stored_y;
-            const Floats stored_x = load_stored_xy(vectors, motion_type, channels, i, count, &stored_y);
+            const Floats stored_x = load_stored_xy(vectors, motion_type, channels, g, count, &stored_y);
             const Ints unwritten = (stored_x == frame->motion_invalid) & (stored_y == frame->motion_invalid);
             motion_x = unwritten ? (Floats)(0.0f) : stored_x * numbers.x + numbers.z;
             motion_y = unwritten ? (Floats)(0.0f) : stored_y * numbers.y + numbers.w;

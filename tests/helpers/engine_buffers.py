@@ -36,19 +36,42 @@ def stored(frame, before, format, size=None, jitter=(0.0, 0.0), jitter_before=(0
     shift = np.array((shift_x, shift_y)) * ratio  # of all frames alike
     own = tuple(((shift + jitter) / ratio).tolist())
     motion = None if frame.motion is None else _motion(frame, before, format, ratio, jitter, jitter_before)
-    made = replace(frame, depth=_depth(frame.depth, format)[np.ix_(y, x)], geometry_jitter=own)
-    return replace(made, motion=None if motion is None else motion[np.ix_(y, x)].astype(np.float32))
+    depth = frame.depth if format.depth != "distance" else frame.depth * _stretch(frame)
+    color = srgb_of_linear(frame.color) if format.color_encoding == "srgb" else frame.color
+    motion = None if motion is None else motion[np.ix_(y, x)].astype(np.float32)
+    up = slice(None, None, -1 if format.rows == "up" else 1)
+    depth = _depth(depth, format)[np.ix_(y, x)][up]
+    return replace(
+        frame, color=color[up], depth=depth, motion=None if motion is None else motion[up], geometry_jitter=own
+    )
+
+
+def _stretch(frame):
+    """Return distance along the ray per planar depth (H, W)."""
+    height, width = frame.depth.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    return np.linalg.norm(
+        frame.camera.unproject(np.stack([x, y], -1), np.ones((height, width))) - frame.camera.position, axis=-1
+    )
+
+
+def srgb_of_linear(color):
+    """Return sRGB of linear color, as halves for color in halves."""
+    color, dtype = np.maximum(color.astype(np.float64), 0), color.dtype
+    return np.where(color <= 0.0031308, 12.92 * color, 1.055 * color ** (1 / 2.4) - 0.055).astype(dtype)
 
 
 def _depth(depth, format):
     """Return stored depth (H, W) float32 of planar depth; depth buffers hold nothing beyond their range."""
     (low, high), z, near, far = format.depth_range, depth.astype(np.float64), format.near_z, format.far_z
     added = 0 if near else 1  # of logarithms
-    law = {"linear": lambda z: z, "device": lambda z: 1 / z, "logarithmic": lambda z: np.log(z + added)}[format.depth]
+    laws = {"device": lambda z: 1 / z, "logarithmic": lambda z: np.log(z + added)}
+    law, is_planes = laws.get(format.depth, lambda z: z), format.depth in laws
+    z = z / format.depth_scale
     with np.errstate(divide="ignore"):
         z, near, far = (law(np.float64(value)) for value in (z, near, far))
     made = low + (z - near) / (far - near) * (high - low)
-    return (made if format.depth == "linear" else np.clip(made, min(low, high), max(low, high))).astype(np.float32)
+    return (np.clip(made, min(low, high), max(low, high)) if is_planes else made).astype(np.float32)
 
 
 def _motion(frame, before, format, ratio, jitter, jitter_before):

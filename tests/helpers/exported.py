@@ -12,7 +12,7 @@ import pyopencl as cl
 import pytest
 
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, TYPES, FrameFormat
+from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, DEPTHS, TYPES, FrameFormat
 from gffe_cl.engine.frame.rendered_frame import OVERLAYS
 
 STRICT = ("-Wall", "-Wextra", "-Werror", "-pedantic")
@@ -61,12 +61,9 @@ class COverlays(ct.Structure):
 
 class CFormat(ct.Structure):
     _fields_ = (
-        *((name, ct.c_int) for name in ("geometry_width", "geometry_height")),
-        *(
-            (name, ct.c_int)
-            for name in ("color_type", "color_channels", "depth_type", "depth_is_device", "depth_is_logarithmic")
-        ),
-        *((name, ct.c_double) for name in ("near_z", "far_z")),
+        *((name, ct.c_int) for name in ("geometry_width", "geometry_height", "rows_up")),
+        *((name, ct.c_int) for name in ("color_type", "color_channels", "color_srgb", "depth_type", "depth")),
+        *((name, ct.c_double) for name in ("depth_scale", "near_z", "far_z")),
         ("depth_range", ct.c_double * 2),
         *((name, ct.c_int) for name in ("motion_type", "motion_channels")),
         *((name, ct.c_double * 2) for name in ("motion_scale", "motion_offset")),
@@ -78,7 +75,15 @@ class CFormat(ct.Structure):
     @classmethod
     def of(cls, format: FrameFormat):
         numbers = {name: 1 + number for number, name in enumerate(TYPES)}
-        plain = ("color_channels", "near_z", "far_z", "motion_channels", "motion_dilated", "motion_jittered")
+        plain = (
+            "color_channels",
+            "depth_scale",
+            "near_z",
+            "far_z",
+            "motion_channels",
+            "motion_dilated",
+            "motion_jittered",
+        )
         pairs = ("depth_range", "motion_scale", "motion_offset")
         width, height = format.geometry_size or (0, 0)
         return cls(
@@ -87,8 +92,9 @@ class CFormat(ct.Structure):
             **{name: getattr(format, name) for name in plain},
             **{name: numbers[getattr(format, name)] for name in ("color_type", "depth_type", "motion_type")},
             **{name: (ct.c_double * 2)(*getattr(format, name)) for name in pairs},
-            depth_is_device=format.depth == "device",
-            depth_is_logarithmic=format.depth == "logarithmic",
+            rows_up=format.rows == "up",
+            color_srgb=format.color_encoding == "srgb",
+            depth=DEPTHS.index(format.depth),
             motion_unit=MOTION_UNITS.index(format.motion_unit),
             motion_from_previous=format.motion_direction == "from_previous",
             motion_y_up=format.motion_y == "up",

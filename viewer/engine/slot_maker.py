@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.captures.offline.run import alphas_for
-from gffe_cl.captures.sequence.described import described_frame
+from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat

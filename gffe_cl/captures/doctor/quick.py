@@ -22,7 +22,7 @@ from gffe_cl.captures.doctor.findings import (
 )
 from gffe_cl.captures.doctor.hypotheses.sampling import Clip
 from gffe_cl.captures.sequence import FrameEntry
-from gffe_cl.captures.sequence.described import described_frame
+from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure, require_kind, require_list
 from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size

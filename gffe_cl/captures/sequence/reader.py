@@ -13,7 +13,6 @@ import numpy as np
 
 from gffe_cl.captures.sequence import exr
 from gffe_cl.captures.sequence.checks import time_warnings, zero_motion_warning
-from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.description import (
     FILE_NAME,
     KINDS,
@@ -25,6 +24,7 @@ from gffe_cl.captures.sequence.description import (
     require_one_size,
     without_collections,
 )
+from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.captures.sequence.exr_layout import read_header
 from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.header_camera import has_camera, header_cameras

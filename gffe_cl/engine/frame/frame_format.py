@@ -21,6 +21,7 @@ from gffe_cl.engine.core.validation import (
     require_choice,
     require_kind,
     require_number,
+    require_positive,
     require_size,
     require_vector,
     require_whole,
@@ -42,14 +43,23 @@ TYPES: dict[str, tuple[Any, float]] = {
 COLOR_TYPES = ("float16", "float32", "unorm16", "unorm8")
 DEPTH_TYPES = ("float32", "unorm16", "unorm24")
 MOTION_TYPES = ("float32", "float16", "unorm16", "snorm16")
-DEPTHS = ("linear", "device", "logarithmic")  # numbered as in kernels/upload.cl
+DEPTHS = ("linear", "device", "logarithmic", "distance")  # numbered as in kernels/upload.cl
+SCALED_DEPTHS = ("linear", "distance")
 MOTION_UNITS = ("pixels", "color_pixels", "uv", "ndc")
 CAMERA_MOTIONS = ("included", "movers_only", "excluded")  # numbered as in kernels/upload.cl
+VERTICALS = ("down", "up")
 CHOICES: dict[str, tuple[str, ...]] = {  # of fields of `FrameFormat`
-    "color_type": COLOR_TYPES, "depth_type": DEPTH_TYPES, "depth": DEPTHS, "motion_type": MOTION_TYPES,
-    "motion_unit": MOTION_UNITS, "motion_direction": tuple(DIRECTIONS), "motion_y": ("down", "up"),
+    "rows": VERTICALS,
+    "color_type": COLOR_TYPES,
+    "color_encoding": ("linear", "srgb"),
+    "depth_type": DEPTH_TYPES,
+    "depth": DEPTHS,
+    "motion_type": MOTION_TYPES,
+    "motion_unit": MOTION_UNITS,
+    "motion_direction": tuple(DIRECTIONS),
+    "motion_y": VERTICALS,
     "camera_motion": CAMERA_MOTIONS,
-}  # fmt: skip
+}
 MOST_JITTER = 16.0  # pixels
 NO_JITTER = (0.0, 0.0)
 MOST_PLANES = 1e30  # times the near plane: the far plane of logarithmic depth
@@ -77,19 +87,27 @@ class FrameFormat:
         Width and height of color, and of depth and motion, in pixels. None: the pipeline's render size. Depth and
         motion may be up to three times smaller than color, each way; `RenderedFrame.geometry_size` changes their size
         from frame to frame.
+    rows : "down" or "up"
+        "up": the first row of all three buffers is the lowest one of the image, as `glReadPixels` returns it.
     color_type : "float16", "float32", "unorm16" or "unorm8"
-        Type of a color channel in device buffers. Colors are linear; unorm stands for 0 to 1. NumPy arrays are taken
-        by their own types: uint8 and uint16 are unorm.
+        Type of a color channel in device buffers; unorm stands for 0 to 1. NumPy arrays are taken by their own types:
+        uint8 and uint16 are unorm.
     color_channels : int
         3 or 4 (RGB or RGBA), in device buffers.
+    color_encoding : "linear" or "srgb"
+        Linear light, or sRGB (IEC 61966-2-1), which continues above 1 and is linear below 0.
     depth_type : "float32", "unorm16" or "unorm24"
         Type of depth in device buffers. unorm24 are the low 24 bits of 32, as in Direct3D and Vulkan.
-    depth : "linear", "device" or "logarithmic"
-        Planar depth, the value of a depth buffer, in which 1/z is linear, or one in which the logarithm of z is:
-        log(z/near_z) / log(far_z/near_z). With near_z 0 it is that of 1 + z: log(1 + z) / log(1 + far_z).
+    depth : "linear", "device", "logarithmic" or "distance"
+        Planar depth; the value of a depth buffer, in which 1/z is linear; one in which the logarithm of z is:
+        log(z/near_z) / log(far_z/near_z), with near_z 0 that of 1 + z: log(1 + z) / log(1 + far_z); or the distance
+        from the camera, along the ray through the pixel's center.
     near_z, far_z : float
-        Planar depth in world units where the buffer holds the first and the second value of `depth_range`. Device depth
-        has no 0; one of them may be infinite.
+        Planar depth, or distance, where the buffer holds the first and the second value of `depth_range`: in world
+        units after `depth_scale`. Device depth has no 0; one of them may be infinite.
+    depth_scale : float
+        Factor that makes world units of linear depth and of distances, such as .01 of centimeters. It is 1 for other
+        depth, whose planes are in world units.
     depth_range : (float, float)
         (0, 1); reversed depth: (1, 0), or `near_z` and `far_z` swapped.
     motion_type : "float32", "float16", "unorm16" or "snorm16"
@@ -123,12 +141,15 @@ class FrameFormat:
 
     color_size: tuple[int, int] | None = None
     geometry_size: tuple[int, int] | None = None
+    rows: str = "down"
     color_type: str = "float16"
     color_channels: int = 4
+    color_encoding: str = "linear"
     depth_type: str = "float32"
     depth: str = "linear"
     near_z: float = 0.0
     far_z: float = 1.0
+    depth_scale: float = 1.0
     depth_range: tuple[float, float] = (0.0, 1.0)
     motion_type: str = "float32"
     motion_channels: int = 2
@@ -157,6 +178,7 @@ class FrameFormat:
             checked[name] = require_number(getattr(self, name), _what(name), infinite=self.depth == "device")
         for name in ("motion_dilated", "motion_jittered"):
             checked[name] = require_bool(getattr(self, name), _what(name))
+        checked["depth_scale"] = require_positive(self.depth_scale, _what("depth_scale"))
         if self.motion_invalid is not None:
             checked["motion_invalid"] = require_number(self.motion_invalid, _what("motion_invalid"))
         for name, value in checked.items():
@@ -171,6 +193,11 @@ class FrameFormat:
         planes = f"near_z {self.near_z:g}, far_z {self.far_z:g}"
         if self.near_z == self.far_z or self.depth_range[0] == self.depth_range[1]:
             raise GffeError(f"format: near_z and far_z must differ, and so must depth_range, got {planes}")
+        if self.depth not in SCALED_DEPTHS and self.depth_scale != 1:
+            raise GffeError(
+                f"format: depth_scale must be 1 with {self.depth} depth, whose near_z and far_z are in world units, got"
+                f" {self.depth_scale:g}"
+            )
         near, far = sorted((self.near_z, self.far_z))
         if self.depth == "device" and not near > 0:
             raise GffeError(f"format: device depth needs near_z and far_z greater than 0, got {planes}")
@@ -360,7 +387,7 @@ class FrameFormat:
         own = {f.name: getattr(self, f.name) == getattr(plain, f.name) for f in fields(self)}
         for name in ("color_size", "geometry_size"):
             del own[name]
-        color = own.pop("color_type"), own.pop("color_channels")
+        color = own["rows"], *(own.pop(f"color_{name}") for name in ("type", "channels", "encoding"))
         return {"color": all(color), "geometry": all(own.values())}
 
 
@@ -424,6 +451,8 @@ def conversion(
         "given_types": (*numbered, CAMERA_MOTIONS.index(format.camera_motion)),
         "given_channels": (channels["color"], channels["motion"]),
         "depth_law": DEPTHS.index(format.depth),
+        "rows_up": int(format.rows == "up"),
+        "color_srgb": int(format.color_encoding == "srgb"),
         "geometry_width": geometry[0],
         "geometry_height": geometry[1],
         "to_geometry": (*(1 / n for n in scale), *(j / n for j, n in zip(shift, scale, strict=True))),
@@ -487,9 +516,9 @@ def _depth_numbers(format: FrameFormat, type_name: str | None) -> tuple[float, .
     most = TYPES[type_name][1]
     ends = sorted(zip((format.near_z, format.far_z), format.depth_range, strict=True), reverse=True)
     (far, far_value), (near, near_value) = ends
-    if format.depth == "linear":
+    if format.depth in SCALED_DEPTHS:
         factor = (far - near) / (far_value - near_value) / most
-        return factor, near_value * most, near, math.nan
+        return factor * format.depth_scale, near_value * most, near * format.depth_scale, math.nan
     if format.depth == "logarithmic":
         above = 0.0 if near else 1.0
         factor = math.log((far + above) / (near + above)) / (far_value - near_value) / most

@@ -28,6 +28,12 @@ def to_display(color: ArrayLike, exposure: float = 1.0) -> np.ndarray:
 
 def linear_values(display, exposure: float = 1.0) -> np.ndarray:
     """Return linear scene-referred color (H, W, 3) float32 that `to_display` shows as `display`, values in [0, 1]."""
-    display = np.asarray(display, np.float32)
-    curve = ((np.maximum(display, 0) + 0.055) / 1.055) ** np.float32(2.4)
-    return np.where(display <= 12.92 * SRGB_TOE, display / 12.92, curve) / np.float32(require_exposure(exposure))
+    return linear_of_srgb(np.asarray(display, np.float32)) / np.float32(require_exposure(exposure))
+
+
+def linear_of_srgb(values: np.ndarray) -> np.ndarray:
+    """Return linear light of sRGB `values` in their type, of halves float32. Values above 1 continue the curve, those
+    below 0 are linear."""
+    values = as_float32(values) if values.dtype == np.float16 else values
+    curve = ((np.maximum(values, 0) + 0.055) / 1.055) ** 2.4
+    return np.where(values <= 0.04045, values / 12.92, curve)

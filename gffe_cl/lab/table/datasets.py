@@ -28,8 +28,8 @@ from gffe_cl.captures.scenes import (
     scene_names,
 )
 from gffe_cl.captures.sequence import FrameEntry, Sequence
-from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
+from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat

@@ -15,8 +15,8 @@ from gffe_cl.captures.doctor.dilation import count_beside_edges, dilation_notes
 from gffe_cl.captures.doctor.geometry_jitter import edge_shift, geometry_jitter_notes
 from gffe_cl.captures.doctor.repeated_pixels import distinct_size
 from gffe_cl.captures.sequence import open_sequence
-from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import Encoding
+from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame

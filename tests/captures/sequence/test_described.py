@@ -30,6 +30,16 @@ FORMAT = FrameFormat(
     motion_invalid=9.0, motion_jittered=True, motion_direction="from_previous", motion_type="float16",
 )  # fmt: skip
 MOVERS = replace(FORMAT, camera_motion="movers_only", motion_jittered=False)
+FROM_BELOW = replace(
+    MOVERS,
+    rows="up",
+    color_encoding="srgb",
+    depth="distance",
+    near_z=0.0,
+    far_z=1.0,
+    depth_range=(0, 1),
+    depth_scale=0.01,
+)
 EXCLUDED = replace(FORMAT, camera_motion="excluded", motion_invalid=None)
 JITTERS = (0.0, 0.0), (0.25, -0.5), (-0.375, 0.125)
 
@@ -70,7 +80,10 @@ def on_device(pipeline):
     return found
 
 
-@pytest.mark.parametrize("format", [FORMAT, MOVERS, EXCLUDED], ids=["jittered", "movers only", "without the camera"])
+FORMATS = {"jittered": FORMAT, "movers only": MOVERS, "from below": FROM_BELOW, "without the camera": EXCLUDED}
+
+
+@pytest.mark.parametrize("format", FORMATS.values(), ids=[*FORMATS])
 def test_frames_are_read_in_our_conventions(device, tmp_path, format):
     """By the reader, and by a pipeline that gets them as they are stored."""
     given, expected = zip(*as_engine_has_them(plain_frames(), format), strict=True)
@@ -80,6 +93,7 @@ def test_frames_are_read_in_our_conventions(device, tmp_path, format):
     for entry, frame, ours in zip(sequence.rendered, sequence, expected, strict=True):
         np.testing.assert_allclose(frame.depth, ours.depth, rtol=1e-6)
         np.testing.assert_allclose(frame.motion, ours.motion, atol=2e-4)
+        np.testing.assert_allclose(frame.color, ours.color[..., :3], rtol=2e-3, atol=1e-4)
         pipeline.submit(sequence.read_stored(entry))
         depth, motion = on_device(pipeline)
         np.testing.assert_allclose(depth, frame.depth, rtol=1e-6)

@@ -4,8 +4,8 @@ import numpy as np
 import pytest
 from synthetic import camera
 
-from gffe_cl.captures.sequence.described import described_frame
 from gffe_cl.captures.sequence.encoding import EXACT, PARTS, Encoding
+from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import to_display

@@ -218,11 +218,13 @@ FORMATS = (
         mvecScale=(1, 1), cameraNear=0.2, cameraFar=40, depthInverted=False, cameraMotionIncluded=False
     ),
     FrameFormat.openxr(nearZ=np.inf, farZ=0.2, minDepth=0.1, maxDepth=0.9, motionVectorOffset=(0.01, -0.02, 0, 0)),
-    FrameFormat(near_z=1, far_z=90, motion_unit="uv", motion_y="up", camera_motion="excluded", motion_jittered=True),
+    FrameFormat(near_z=1, far_z=90, motion_unit="uv", motion_y="up", camera_motion="excluded", motion_jittered=True,
+                rows="up"),
     FrameFormat(
         motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3, geometry_size=(W // 2, -(-H // 3))
     ),
-    FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True, motion_dilated=True),
+    FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True, motion_dilated=True, color_encoding="srgb",
+                depth="distance", depth_scale=12, rows="up"),
     FrameFormat(motion_unit="uv", motion_dilated=True, depth="logarithmic", near_z=30, far_z=0.4),
     FrameFormat(depth="logarithmic", near_z=0, far_z=90, depth_range=(0.2, 0.9)),
     FrameFormat(motion_unit="color_pixels", motion_dilated=True, geometry_size=(W // 2, H // 2)),

@@ -223,6 +223,11 @@ def test_invalid_values_are_unknown_and_not_bad(device):
         ({"depth": "logarithmic", "near_z": 1e-30, "far_z": 9}, "times apart"),
         ({"depth": "linear", "near_z": 1, "far_z": math.inf}, "far_z must be a finite number"),
         ({"depth_range": (0, 0)}, "must differ"),
+        ({"depth": "distance", "near_z": 1, "far_z": math.inf}, "far_z must be a finite number"),
+        ({"depth_scale": 0}, "depth_scale must be greater than 0"),
+        ({"depth": "device", "near_z": 1, "far_z": 2, "depth_scale": 0.01}, "depth_scale must be 1 with device depth"),
+        ({"rows": "left"}, "rows must be one of down, up"),
+        ({"color_encoding": "gamma"}, "color_encoding must be one of linear, srgb"),
         ({"motion_unit": "inches"}, "motion_unit must be one of pixels"),
         ({"motion_scale": (1, 0)}, "must not contain 0"),
         ({"motion_scale": 3}, "motion_scale must have shape"),
@@ -331,13 +336,36 @@ def test_wrong_frames_are_refused(device):
 
 
 def test_text_and_back():
-    """Every field, none of them at its default."""
+    """Every field, none of them at its default: planes and a scale of depth exclude one another."""
     made = FrameFormat(
-        (40, 24), (20, 12), "unorm8", 3, "unorm24", "device", math.inf, 0.1, (0.2, 0.9), "snorm16", 4, (2, -3),
-        (0.1, 0), "ndc", "from_previous", "up", True, True, 0.0, "movers_only",
-    )  # fmt: skip
+        color_size=(40, 24),
+        geometry_size=(20, 12),
+        rows="up",
+        color_type="unorm8",
+        color_channels=3,
+        color_encoding="srgb",
+        depth_type="unorm24",
+        depth="device",
+        near_z=math.inf,
+        far_z=0.1,
+        depth_range=(0.2, 0.9),
+        motion_type="snorm16",
+        motion_channels=4,
+        motion_scale=(2, -3),
+        motion_offset=(0.1, 0),
+        motion_unit="ndc",
+        motion_direction="from_previous",
+        motion_y="up",
+        motion_dilated=True,
+        motion_jittered=True,
+        motion_invalid=0.0,
+        camera_motion="movers_only",
+    )
+    scaled = FrameFormat(depth="distance", depth_scale=0.01)
+    assert FrameFormat.from_json(scaled.to_json()) == scaled
     given = made.to_json()
-    assert [*given] == [field.name for field in fields(FrameFormat)] and given["near_z"] == "infinity"
+    assert given.keys() | scaled.to_json().keys() == {field.name for field in fields(FrameFormat)}
+    assert given["near_z"] == "infinity"
     assert FrameFormat.from_json(given) == made and FrameFormat.from_json({}) == FrameFormat()
     with pytest.raises(GffeError, match="unknown field 'colour'"):
         FrameFormat.from_json({"colour": 1})

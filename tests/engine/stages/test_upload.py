@@ -8,7 +8,15 @@ from synthetic import camera
 
 from gffe_cl import FrameFormat, Options, Pipeline, RenderedFrame
 from gffe_cl.captures.sequence.post_effects import nearest_motion
-from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, conversion
+from gffe_cl.engine.frame.frame_format import (
+    CAMERA_MOTIONS,
+    COLOR_TYPES,
+    DEPTH_TYPES,
+    DEPTHS,
+    MOTION_TYPES,
+    TYPES,
+    conversion,
+)
 from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, host_arrays
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.base import Board, Step
@@ -174,7 +182,11 @@ DESCRIPTIONS = {
         depth="device", near_z=0.1, far_z=50, motion_unit="uv", motion_y="up", motion_invalid=0.0,
         camera_motion="movers_only",
     ),
-    "excluded": FrameFormat(near_z=2, far_z=9, motion_direction="from_previous", camera_motion="excluded"),
+    "sRGB from below, distances": FrameFormat(
+        rows="up", color_encoding="srgb", depth="distance", depth_scale=0.01, motion_unit="uv"
+    ),
+    "distances after a map": FrameFormat(depth="distance", near_z=1, far_z=900, depth_range=(1, 0), depth_scale=3),
+    "excluded": FrameFormat(near_z=2, far_z=9, rows="up", motion_direction="from_previous", camera_motion="excluded"),
 }  # fmt: skip
 
 
@@ -201,10 +213,11 @@ def test_described_frames_equal_their_twin(device, stage_of, described):
             arrays = {"color": color, "depth": depth} | ({} if motion is None else {"motion": motion})
             buffers = {name: cl.Buffer(device.context, flags, hostbuf=array) for name, array in arrays.items()}
             stage.convert(buffers, taken, step)
-        rgb, infinite, clamped = twins.convert_described_color(color)
+        rgb, infinite, clamped = twins.convert_described_color(color, given)
         to_previous = reprojection(now, before) if last else None
         vectors = None if motion is None else motion[..., :2]
-        z, moved, counts = twins.convert_described_geometry(depth, vectors, given, to_previous)
+        inverse = reprojection(now, now)[4]
+        z, moved, counts = twins.convert_described_geometry(depth, vectors, given, to_previous, source_inverse=inverse)
         found = [np.empty_like(array) for array in (rgb, z, moved)]
         for array, buffer in zip(found, taken.buffers, strict=True):
             cl.enqueue_copy(device.queue, array, buffer)
@@ -307,6 +320,7 @@ def test_undilated_vectors_are_the_surfaces_own():
 def test_kernel_and_description_number_alike():
     numbers = constants("upload.cl")
     assert [numbers[name.upper()] for name in TYPES] == [*range(1, len(TYPES) + 1)] and numbers["NO_BUFFER"] == 0
+    assert [numbers[f"DEPTH_{name.upper()}"] for name in DEPTHS] == [*range(len(DEPTHS))]
     assert [numbers[f"CAMERA_{name.upper()}"] for name in CAMERA_MOTIONS] == [*range(len(CAMERA_MOTIONS))]
 
 

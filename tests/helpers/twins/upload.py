@@ -2,10 +2,10 @@
 
 import numpy as np
 
-from gffe_cl.captures.sequence.described import spread_geometry as spread_geometry  # of sequences on disk, too
-from gffe_cl.captures.sequence.described import undilated as undilated
+from gffe_cl.captures.sequence.engine_form import spread_geometry as spread_geometry  # of sequences on disk, too
+from gffe_cl.captures.sequence.engine_form import undilated as undilated
 from twins.common import COLOR_MAX, INF, F, centers, kernel_constants, reproject
-from twins.network_input import exp_less_one
+from twins.network_input import exp_less_one, log
 
 UPLOAD = kernel_constants("upload.cl")
 UNITS = {np.uint8: F(1) / F(255), np.uint16: F(1) / F(65535)}
@@ -36,16 +36,31 @@ def convert_geometry(depth, motion, size=None):
     return converted, vectors, (invalid.sum(), (~finite).sum(), far.sum(), unwritten.sum())
 
 
-def convert_described_color(color):
-    """Return `convert_color` of color of any type; integers stand for 0 to 1."""
+def convert_described_color(color, given):
+    """Return `convert_color` of color of any type; integers stand for 0 to 1. `given`: members of the frame block."""
     unit = UNITS.get(color.dtype.type)
-    return convert_color(color if unit is None else color.astype(F) * unit)
+    color = color if unit is None else color.astype(F) * unit
+    color = color[::-1] if given["rows_up"] else color
+    if given["color_srgb"]:
+        with np.errstate(all="ignore"):
+            color = linear_of_srgb(color[..., :3].astype(F))
+    return convert_color(color)
 
 
-def convert_described_geometry(depth, motion, given, to_previous=None, size=None):
+def linear_of_srgb(c):
+    """Return linear light of sRGB."""
+    lifted = np.minimum(np.maximum((c + F(0.055)) * (F(1) / F(1.055)), F(UPLOAD.SRGB_LEAST)), COLOR_MAX)
+    curve = exp_less_one(F(2.4) * log(np.nan_to_num(lifted, nan=1))) + F(1)
+    return np.where(c <= F(UPLOAD.SRGB_TOE), c * (F(1) / F(12.92)), np.where(np.isfinite(c), curve, c))
+
+
+def convert_described_geometry(depth, motion, given, to_previous=None, size=None, source_inverse=None):
     """Return depth and motion in pixels of stored ones, converted by the members `given` of the frame block (motion
     None: there is none), and the counts as of `convert_geometry`. `to_previous` (6, 4): None without a frame before.
-    `size`: height and width of color, by default those of depth."""
+    `size`: height and width of color, by default those of depth. `source_inverse` (4,): of the camera, for
+    distances."""
+    if given["rows_up"]:
+        depth, motion = depth[::-1], None if motion is None else motion[::-1]
     factor, origin, addend, sky = F(given["given_depth"])
     stored = (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(F)
     with np.errstate(all="ignore"):
@@ -58,6 +73,10 @@ def convert_described_geometry(depth, motion, given, to_previous=None, size=None
         if given["depth_law"] == UPLOAD.DEPTH_DEVICE:
             is_sky = (stored == sky) | (value <= F(1) / F(1e37))
             value = np.where(is_sky, INF, F(1) / value)
+        if given["depth_law"] == UPLOAD.DEPTH_DISTANCE:
+            here = centers(*depth.shape) * F(given["from_geometry"][:2]) + F(given["from_geometry"][2:])
+            x, y = np.moveaxis((here - source_inverse[2:]) * source_inverse[:2], -1, 0)
+            value = value / np.sqrt(F(1) + x * x + y * y)
     if motion is None:
         z, _, (invalid, _, far, _) = convert_geometry(value, np.zeros((*depth.shape, 2), F))
         return z, np.zeros((*depth.shape, 2), F), (invalid, 0, far, 0)

@@ -113,6 +113,10 @@ typedef enum gffe_type {
     GFFE_UNORM24
 } gffe_type;
 
+/* Depth: planar depth; the value of a depth buffer, in which 1/z is linear; log(z / near_z) / log(far_z / near_z), with
+   near_z 0 log(1 + z) / log(1 + far_z); the distance along the ray. */
+enum { GFFE_LINEAR, GFFE_DEVICE, GFFE_LOGARITHMIC, GFFE_DISTANCE };
+
 /* Units of motion: pixels of the motion image, 0 to 1 across the image, -1 to 1 across it, or pixels of the color
    image. */
 enum { GFFE_PIXELS, GFFE_UV, GFFE_NDC, GFFE_COLOR_PIXELS };
@@ -125,11 +129,12 @@ enum { GFFE_CAMERA_INCLUDED, GFFE_CAMERA_MOVERS_ONLY, GFFE_CAMERA_EXCLUDED };
    too, or are up to three times smaller, each way, by another size in every frame. */
 typedef struct gffe_format {
     int geometry_width, geometry_height; /* of depth and motion, pixels; both 0: as color */
-    int color_type, color_channels; /* float16, float32, unorm16 or unorm8, linear; 3 or 4 channels */
+    int rows_up; /* whether the first rows of all three buffers are the lowest ones */
+    int color_type, color_channels; /* float16, float32, unorm16 or unorm8; 3 or 4 channels */
+    int color_srgb; /* whether color is sRGB instead of linear */
     int depth_type; /* float32, unorm16 or unorm24 */
-    int depth_is_device; /* whether depth is that of a depth buffer, in which 1/z is linear, instead of planar depth */
-    int depth_is_logarithmic; /* whether it is log(z / near_z) / log(far_z / near_z); with near_z 0 log(1 + z) /
-                                 log(1 + far_z) */
+    int depth; /* GFFE_LINEAR ... */
+    double depth_scale; /* factor to world units of linear depth and distances; 1 of others */
     double near_z, far_z, depth_range[2]; /* planar depth where the buffer holds the first and the second value of the
                                              range; of device depth greater than 0, one of them perhaps infinite */
     int motion_type, motion_channels; /* float32, float16, unorm16 or snorm16; 2 to 4 channels */

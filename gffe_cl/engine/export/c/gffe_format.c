@@ -14,7 +14,7 @@ gffe_format gffe_default_format(void) {
     made.color_type = GFFE_FLOAT16;
     made.color_channels = 4;
     made.depth_type = made.motion_type = GFFE_FLOAT32;
-    made.far_z = made.depth_range[1] = 1;
+    made.far_z = made.depth_range[1] = made.depth_scale = 1;
     made.motion_channels = 2;
     made.motion_scale[0] = made.motion_scale[1] = 1;
     made.motion_invalid = NAN;
@@ -41,7 +41,7 @@ size_t gffe_texel_bytes(const gffe_format *format, int buffer) {
 }
 
 int gffe_is_color_ours(const gffe_format *format) {
-    return format->color_type == GFFE_FLOAT16 && format->color_channels == 4;
+    return format->color_type == GFFE_FLOAT16 && format->color_channels == 4 && !format->color_srgb && !format->rows_up;
 }
 
 void gffe_geometry_of(const gffe_format *format, const int source[2], int size[2]) {
@@ -57,13 +57,14 @@ int gffe_is_small(const gffe_step *step) {
 
 int gffe_is_geometry_ours(const gffe_step *step) {
     const gffe_format *format = &step->format;
-    return !gffe_is_small(step) && format->depth_type == GFFE_FLOAT32 && !format->depth_is_device
-           && !format->depth_is_logarithmic && format->near_z == 0 && format->far_z == 1 && format->depth_range[0] == 0
-           && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32 && format->motion_channels == 2
-           && format->motion_scale[0] == 1 && format->motion_scale[1] == 1 && format->motion_offset[0] == 0
-           && format->motion_offset[1] == 0 && format->motion_unit == GFFE_PIXELS && !format->motion_from_previous
-           && !format->motion_y_up && !format->motion_dilated && !format->motion_jittered
-           && isnan(format->motion_invalid) && format->camera_motion == GFFE_CAMERA_INCLUDED;
+    return !gffe_is_small(step) && !format->rows_up && format->depth_type == GFFE_FLOAT32
+           && format->depth == GFFE_LINEAR && format->depth_scale == 1 && format->near_z == 0 && format->far_z == 1
+           && format->depth_range[0] == 0 && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32
+           && format->motion_channels == 2 && format->motion_scale[0] == 1 && format->motion_scale[1] == 1
+           && format->motion_offset[0] == 0 && format->motion_offset[1] == 0 && format->motion_unit == GFFE_PIXELS
+           && !format->motion_from_previous && !format->motion_y_up && !format->motion_dilated
+           && !format->motion_jittered && isnan(format->motion_invalid)
+           && format->camera_motion == GFFE_CAMERA_INCLUDED;
 }
 
 static gffe_status need_finite(gffe *g, const char *name, double value) {
@@ -85,12 +86,14 @@ static gffe_status check_numbers(gffe *g, const gffe_format *f) {
     if (!status) status = gffe_need_whole(g, "format: geometry_height", f->geometry_height, 0, GFFE_MOST_PIXELS);
     if (!status) status = gffe_need_whole(g, "format: color_channels", f->color_channels, 3, 4);
     if (!status) status = gffe_need_whole(g, "format: motion_channels", f->motion_channels, 2, 4);
+    if (!status) status = gffe_need_whole(g, "format: depth", f->depth, GFFE_LINEAR, GFFE_DISTANCE);
     if (!status) status = gffe_need_whole(g, "format: motion_unit", f->motion_unit, GFFE_PIXELS, GFFE_COLOR_PIXELS);
     if (!status)
         status =
             gffe_need_whole(g, "format: camera_motion", f->camera_motion, GFFE_CAMERA_INCLUDED, GFFE_CAMERA_EXCLUDED);
-    if (!status) status = need_plane(g, "format: near_z", f->near_z, f->depth_is_device);
-    if (!status) status = need_plane(g, "format: far_z", f->far_z, f->depth_is_device);
+    if (!status) status = need_plane(g, "format: near_z", f->near_z, f->depth == GFFE_DEVICE);
+    if (!status) status = need_plane(g, "format: far_z", f->far_z, f->depth == GFFE_DEVICE);
+    if (!status) status = need_finite(g, "format: depth_scale", f->depth_scale);
     if (!status) status = need_pair(g, "format: depth_range", f->depth_range);
     if (!status) status = need_pair(g, "format: motion_scale", f->motion_scale);
     if (!status) status = need_pair(g, "format: motion_offset", f->motion_offset);
@@ -124,13 +127,18 @@ gffe_status gffe_check_format(gffe *g, const gffe_format *format) {
         return gffe_fail(g, GFFE_INVALID,
                          "format: near_z and far_z must differ, and so must depth_range, got near_z %g, far_z %g",
                          near_z, far_z);
-    if (format->depth_is_device && !(near_z > 0 && far_z > 0))
+    if (!(format->depth_scale > 0))
+        return gffe_fail(g, GFFE_INVALID, "format: depth_scale must be greater than 0, got %g", format->depth_scale);
+    if (format->depth_scale != 1 && (format->depth == GFFE_DEVICE || format->depth == GFFE_LOGARITHMIC))
+        return gffe_fail(g, GFFE_INVALID,
+                         "format: depth_scale must be 1 with device or logarithmic depth, whose near_z and far_z are in"
+                         " world units, got %g",
+                         format->depth_scale);
+    if (format->depth == GFFE_DEVICE && !(near_z > 0 && far_z > 0))
         return gffe_fail(g, GFFE_INVALID,
                          "format: device depth needs near_z and far_z greater than 0, got near_z %g, far_z %g", near_z,
                          far_z);
-    if (format->depth_is_logarithmic && format->depth_is_device)
-        return gffe_fail(g, GFFE_INVALID, "format: depth must not be device depth and logarithmic");
-    if (format->depth_is_logarithmic
+    if (format->depth == GFFE_LOGARITHMIC
         && (!(nearer >= 0) || fmax(near_z, far_z) > GFFE_MOST_PLANES * (nearer > 0 ? nearer : 1)))
         return gffe_fail(
             g, GFFE_INVALID,
@@ -187,11 +195,11 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
         block->from_geometry.s[k] = (float)scale;
         block->from_geometry.s[2 + k] = (float)-shift;
     }
-    if (format->depth_is_device) {
+    if (format->depth == GFFE_DEVICE) {
         block->given_depth.s[0] = (float)((1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most);
         block->given_depth.s[1] = block->given_depth.s[3] = (float)(far_value * depth_most);
         block->given_depth.s[2] = (float)(1 / farthest);
-    } else if (format->depth_is_logarithmic) {
+    } else if (format->depth == GFFE_LOGARITHMIC) {
         const double above = nearest > 0 ? 0 : 1;
         block->given_depth.s[0] =
             (float)(log((farthest + above) / (nearest + above)) / (far_value - near_value) / depth_most);
@@ -199,9 +207,10 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
         block->given_depth.s[2] = (float)nearest;
         block->given_depth.s[3] = (float)(far_value * depth_most);
     } else {
-        block->given_depth.s[0] = (float)((farthest - nearest) / (far_value - near_value) / depth_most);
+        const double factor = (farthest - nearest) / (far_value - near_value) / depth_most;
+        block->given_depth.s[0] = (float)(factor * format->depth_scale);
         block->given_depth.s[1] = (float)(near_value * depth_most);
-        block->given_depth.s[2] = (float)nearest;
+        block->given_depth.s[2] = (float)(nearest * format->depth_scale);
         block->given_depth.s[3] = NAN;
     }
     block->motion_invalid = NAN;
@@ -213,6 +222,8 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     block->given_types.s[3] = format->camera_motion;
     block->given_channels.s[0] = format->color_channels;
     block->given_channels.s[1] = format->motion_channels;
-    block->depth_law = format->depth_is_device ? 1 : format->depth_is_logarithmic ? 2 : 0;
+    block->depth_law = format->depth;
+    block->rows_up = format->rows_up != 0;
+    block->color_srgb = format->color_srgb != 0;
     block->has_previous = step->converts_after;
 }

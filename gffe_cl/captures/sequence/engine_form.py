@@ -12,8 +12,9 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import DEPTHS, FrameFormat, conversion, jitter_in_color
+from gffe_cl.engine.frame.frame_format import DEPTHS, SCALED_DEPTHS, FrameFormat, conversion, jitter_in_color
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame, type_of
+from gffe_cl.engine.frame.transfer_function import linear_of_srgb
 from gffe_cl.engine.opencl.program import constants
 
 
@@ -146,13 +147,16 @@ def _converted(
 ) -> RenderedFrame:
     """Return `frame` in our conventions, but for the size of depth and motion."""
     motion_type = None if frame.motion is None else type_of(frame.motion)
-    depth = _depth(_values(frame.depth), given)
-    color = frame.color
-    if color.dtype.kind != "f":
-        color = (color / np.float64(np.iinfo(color.dtype).max)).astype(np.float32)
+    down = slice(None, None, -1 if format.rows == "up" else 1)
+    depth = _depth(_values(frame.depth[down]), given)
+    if format.depth == "distance":
+        if frame.camera is None:
+            raise GffeError("frame: distances need a camera to become planar depth")
+        depth = _planar(depth, frame.camera, given["from_geometry"])
+    color = _color(frame.color[down], format)
     if frame.motion is None:
         return replace(frame, color=color, depth=depth.astype(np.float32))
-    stored, (*factors, x, y) = frame.motion.astype(np.float64), given["given_motion"]
+    stored, (*factors, x, y) = frame.motion[down].astype(np.float64), given["given_motion"]
     # Halves may have become floats on their way to disk.
     invalid = [given["motion_invalid"]]
     if format.motion_invalid is not None and motion_type == "float32":
@@ -171,20 +175,38 @@ def _converted(
         return replace(frame, color=color, depth=depth.astype(np.float32), motion=vectors.astype(np.float32))
 
 
+def _color(color: np.ndarray, format: FrameFormat) -> np.ndarray:
+    """Return linear color (H, W, 3 or 4): floats as they are, integers as float32."""
+    if color.dtype.kind != "f":
+        color = color / np.float64(np.iinfo(color.dtype).max)
+    if format.color_encoding == "srgb":
+        color = linear_of_srgb(color)
+    return color.astype(np.float32) if color.dtype == np.float64 else color
+
+
+def _planar(distance: np.ndarray, camera: Camera, mapping: Sequence[float]) -> np.ndarray:
+    """Return planar depth (H, W) of distances along the rays. `mapping`: from pixels of depth to those of color."""
+    y, x = (np.arange(n) + 0.5 for n in distance.shape)
+    across = ((x * mapping[0] + mapping[2] - camera.cx) / camera.fx) ** 2
+    down = ((y * mapping[1] + mapping[3] - camera.cy) / camera.fy) ** 2
+    return distance / np.sqrt(1 + across + down[:, None])
+
+
 def _values(depth: np.ndarray) -> np.ndarray:
     """Return stored depth (H, W) in float64: of 32-bit integers the low 24 bits."""
     return (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(np.float64)
 
 
 def _depth(stored: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
-    """Return planar depth (H, W), of the values of a depth buffer sky beyond its range or at the far end."""
+    """Return planar depth or distance (H, W), of the values of a depth buffer sky beyond its range or at the far
+    end."""
     (factor, origin, addend, sky), law = given["given_depth"], DEPTHS[given["depth_law"]]
     with np.errstate(all="ignore"):
         if law == "logarithmic":
             depth = addend + (addend or 1.0) * np.expm1(factor * (stored - origin))
             return np.where(stored == np.float32(sky), math.inf, depth)
         value = factor * (stored - origin) + addend
-        if law == "linear":
+        if law in SCALED_DEPTHS:
             return value
         return np.where((stored == np.float32(sky)) | (value <= 0), math.inf, 1 / value)
 
