@@ -35,6 +35,7 @@ quality: $(VENV)/.installed-for-tests
 # Bits, bytes and instructions, costs on GPUs (where GFFE_GPU_COMPILERS names the compilers), then the tables from them.
 recorded: $(VENV)/.installed-for-tests $(if $(PICTURES),$(VENV)/.installed-for-examples)
 	$(VENV)/bin/python docs/tools/record_selftest.py
+	$(VENV)/bin/python tests/test_recorded_sequences.py
 	$(VENV)/bin/gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json
 	test -z "$(GFFE_GPU_COMPILERS)" || $(VENV)/bin/python docs/tools/gpu_compilers.py
 ifdef PICTURES
