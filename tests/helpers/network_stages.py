@@ -10,7 +10,7 @@ from synthetic import camera
 
 from gffe_cl import Options
 from gffe_cl.engine.frame.rendered_frame import HostArrays
-from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
+from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.convolutions import Convolutions

@@ -1,12 +1,14 @@
 """Small ONNX models with the interface of the shading correction network."""
 
 import itertools
+from pathlib import Path
 
 import numpy as np
 import onnx
 from onnx import TensorProto, helper, numpy_helper
 
-from gffe_cl.engine.inference.model_interface import HEAD, HEAD_LAYERS, JUDGEMENT_PLANES, OUTPUT, head_text
+from gffe_cl.engine.inference.layers import HEAD, HEAD_LAYERS, JUDGEMENT_PLANES, OUTPUT, head_text
+from gffe_cl.lab.training.layers import write_layers
 
 FLOAT = TensorProto.FLOAT
 FRAMES, CANDIDATES = (1, 8, "height", "width"), (1, 16, "h", "w")
@@ -157,9 +159,10 @@ class _Integers:
         return self.rounded(made, max(self.scales[image] for image in images) * self.rng.uniform(0.8, 1.2))
 
 
-def integer_model(path, channels=(16, 24), seen=16, seed=0, zeros=(), largest=63):
+def integer_model(path, channels=(16, 24), seen=16, seed=0, zeros=(), largest=63, layers=True):
     """Return a network of integers as `gffe train` makes them, with random weights up to `largest`: `channels` of its
-    levels, finest first, `seen` of the first convolution; `zeros`: zero points, in turn, or random ones."""
+    levels, finest first, `seen` of the first convolution; `zeros`: zero points, in turn, or random ones; `layers`:
+    whether its layers for kernels are written, too."""
     rng = np.random.default_rng(seed)
     made = _Integers(rng, itertools.cycle(zeros) if zeros else iter(lambda: rng.integers(64, 192), -1), largest)
     first = rng.normal(0, 0.3, (seen, 8, 3, 3)), rng.normal(0, 0.3, seen)
@@ -183,4 +186,7 @@ def integer_model(path, channels=(16, 24), seen=16, seed=0, zeros=(), largest=63
     last = rng.normal(0, 0.2, (JUDGEMENT_PLANES, channels[0], 1, 1)), rng.normal(0, 0.2, JUDGEMENT_PLANES)
     given = [made.constant(f"last.{k}", values) for k, values in enumerate(last)]
     made.nodes.append(helper.make_node("Conv", [result, *given], [OUTPUT], kernel_shape=[1, 1]))
-    return save(path, made.nodes, made.constants)
+    save(path, made.nodes, made.constants)
+    if layers:
+        write_layers(Path(path))
+    return str(path)

@@ -11,7 +11,7 @@ from gffe_cl.engine.core import validation
 from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
 from gffe_cl.engine.frame import camera, frame_format, intervals
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
-from gffe_cl.engine.inference.model_interface import MULTIPLE
+from gffe_cl.engine.inference.layers import MULTIPLE
 from gffe_cl.engine.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options

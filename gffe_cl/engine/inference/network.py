@@ -1,4 +1,4 @@
-"""Loading the shading correction network, and running it with onnxruntime.
+"""Loading the shading correction network, and running it with onnxruntime on the CPU.
 
 A model takes `frames` (1, 8, h, w) and `candidates` (1, 16, h/2, w/2), and gives `judgement` (1, 20, h/2, w/2), all
 float32, for any h and w that are multiples of 16. The model consists of convolutions. Kernels do the rest, including
@@ -7,34 +7,40 @@ its last two layers, the head, whose weights are in the model's metadata: "head"
 
 from __future__ import annotations
 
+import ctypes
 import hashlib
 import os
+from collections.abc import Callable
+from functools import cache
+from importlib.resources import files
+from importlib.util import find_spec
 from pathlib import Path
+from types import ModuleType
+from typing import Any
+from weakref import WeakSet
 
 import numpy as np
+from numpy.typing import ArrayLike
 
-from gffe_cl.engine.inference.integer_layers import NotInKernels, read_layers
-from gffe_cl.engine.inference.model_interface import (
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import model_source
+from gffe_cl.engine.inference.layers import (
     CANDIDATE_PLANES,
     HEAD,
     HEAD_WEIGHTS,
     INPUT_PLANES,
     JUDGEMENT_PLANES,
     OUTPUT,
+    NotInKernels,
     head_weights,
-)
-from gffe_cl.engine.inference.sessions import (
-    CPU,
-    PACKAGED,
-    NetworkError,
-    cpu_model,
-    has_onnxruntime,
-    load_onnxruntime,
-    one_line,
-    open_session,
+    layers_file,
+    read_layers,
 )
 
-__all__ = ["AUTO", "ON_CPU", "OPENCL", "Network", "NetworkError", "default_model", "load_network", "load_onnxruntime"]
+
+class NetworkError(GffeError):
+    """Error of a network that cannot be loaded, or fails."""
+
 
 AUTO, OPENCL, ON_CPU = "auto", "opencl", "cpu"  # what may be asked for: the kernels, or onnxruntime
 # What runs the network of the package by default, by the kind of the device.
@@ -44,7 +50,11 @@ RUNS_ON = {
 }
 _FLOAT = "tensor(float)"
 _loaded: dict[tuple, tuple] = {}  # (path, requested provider) → (stamp of the file and the process, Network)
-_asked_for: list[Network | KernelNetwork] = []  # since remarks were last taken
+_remarks: dict[str, None] = {}  # on networks that were asked for since `take_remarks`, in order
+CPU = "CPUExecutionProvider"  # onnxruntime's name of what runs a session
+PACKAGED = Path(str(files("gffe_cl.engine.inference") / "weights" / "scn.onnx"))
+
+_sessions: WeakSet[Any] = WeakSet()  # of this process and those from which it was forked
 
 
 def default_model() -> Path | None:
@@ -84,13 +94,14 @@ def load_network(
     if provider not in (None, AUTO, OPENCL, ON_CPU):
         raise NetworkError(f"provider '{provider}' is not available (there is: {AUTO}, {OPENCL}, {ON_CPU})")
     by_itself = AUTO if on_gpu or not has_onnxruntime() else ON_CPU
-    wanted, state = by_itself if provider in (None, AUTO) else provider, path.stat()
-    key, stamp = (path.resolve(), wanted), (state.st_mtime_ns, state.st_size, os.getpid())
+    wanted = by_itself if provider in (None, AUTO) else provider
+    states = [each.stat() for each in (path, layers_file(path)) if each.is_file()]
+    key, stamp = (path.resolve(), wanted), (os.getpid(), *((state.st_mtime_ns, state.st_size) for state in states))
     if key not in _loaded or _loaded[key][0] != stamp:
         _loaded[key] = stamp, _load(path, wanted)
     network = _loaded[key][1]
-    if network not in _asked_for:
-        _asked_for.append(network)
+    if network.remark:
+        _remarks[network.remark] = None
     return network
 
 
@@ -120,9 +131,9 @@ def reason(network: Network | KernelNetwork, provider: str | None, on_gpu: bool)
 
 def take_remarks() -> list[str]:
     """Return notes for the user on networks loaded since the last call: those that kernels cannot run."""
-    remarks = [network.remark for network in _asked_for if network.remark]
-    _asked_for.clear()
-    return list(dict.fromkeys(remarks))
+    taken = list(_remarks)
+    _remarks.clear()
+    return taken
 
 
 class KernelNetwork:
@@ -131,7 +142,7 @@ class KernelNetwork:
     provider, remark = OPENCL, ""
 
     def __init__(self, path: Path):
-        """Read the ONNX file `path`. Raises NotInKernels where kernels cannot run it, and NetworkError."""
+        """Read the layers of the ONNX file `path`. Raises NotInKernels where it has none, and NetworkError."""
         self.path = path
         self.layers = read_layers(path)
         self.head = _head_of(path, self.layers.head)
@@ -168,6 +179,24 @@ class Network:
             raise NetworkError(f"{self.path}: the network failed on {CPU}: {one_line(error)}") from None
         binding.synchronize_outputs()
         return _pixels_not_finite(judgement)
+
+
+class SubstituteNetwork:
+    """Replacement for `Network` whose judgement depends on its size alone.
+
+    `head`: weights of the last two layers, (HEAD_WEIGHTS,) float32; `judge` gives the judgement for a shape (planes,
+    height, width), with which it is broadcast.
+    """
+
+    provider, layers = CPU, None
+
+    def __init__(self, head: np.ndarray, judge: Callable[[tuple[int, ...]], ArrayLike]):
+        self.head, self._judge = head, judge
+
+    def run(self, frames: np.ndarray, candidates: np.ndarray, judgement: np.ndarray) -> int:
+        """Fill `judgement`, and return 0: no pixel has NaN or infinity."""
+        judgement[:] = self._judge(judgement.shape)
+        return 0
 
 
 def _head_of(path: Path, text: str) -> np.ndarray:
@@ -211,3 +240,67 @@ def _require(path: Path, kind: str, values: list, expected: dict[str, tuple]) ->
 
 def _shape(shape) -> str:
     return "×".join("any" if n is None else str(n) for n in shape)
+
+
+# ---- sessions of onnxruntime ---------------------------------------------------------------------------
+
+
+def _leave_sessions() -> None:
+    """Keep the sessions of the parent in a forked child for ever: releasing one waits for its threads, which are not
+    there."""
+    for session in _sessions:
+        ctypes.pythonapi.Py_IncRef(ctypes.py_object(session))
+
+
+if hasattr(os, "register_at_fork"):
+    os.register_at_fork(after_in_child=_leave_sessions)
+
+
+def has_onnxruntime() -> bool:
+    """Return whether onnxruntime is installed. Without it OpenCL kernels run the network."""
+    return find_spec("onnxruntime") is not None
+
+
+@cache
+def load_onnxruntime() -> ModuleType:
+    """Return onnxruntime without its telemetry and its log output. On import, telemetry would write an id of the
+    device into the user's cache folder. No other function imports onnxruntime. Raises NetworkError where it is not
+    installed."""
+    if not has_onnxruntime():
+        raise NetworkError("onnxruntime is not installed (expected: pip install onnxruntime, or the provider opencl)")
+    os.environ["ORT_DISABLE_TELEMETRY"] = "1"
+    import onnxruntime
+
+    onnxruntime.disable_telemetry_events()
+    onnxruntime.set_default_logger_severity(4)  # failures raise
+    return onnxruntime
+
+
+def cpu_model(path: Path) -> Path:
+    """Return the file that runs in place of `path`: for the package's own network its form in 8-bit integers, which
+    takes half the time on a CPU."""
+    integers = path.with_name(f"{path.stem}-int8.onnx")
+    return integers if path == PACKAGED and integers.is_file() else path
+
+
+def open_session(path: Path):
+    """Return an onnxruntime.InferenceSession of the ONNX file `path`; no other function makes any. Raises
+    NetworkError."""
+    onnxruntime = load_onnxruntime()
+    options = onnxruntime.SessionOptions()
+    options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
+    for kind in ("intra_op", "inter_op"):
+        options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
+    options.log_severity_level = 4
+    try:
+        session = onnxruntime.InferenceSession(model_source(path), options, providers=[CPU])
+    except Exception as error:  # onnxruntime's classes have no common base
+        raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {one_line(error)}") from None
+    _sessions.add(session)
+    return session
+
+
+def one_line(error: Exception) -> str:
+    """Return the end of onnxruntime's message, which names the cause, in one line of at most 200 characters."""
+    text = " ".join(str(error).replace("\\n", " ").split())
+    return text if len(text) <= 200 else f"… {text[-198:]}"

@@ -9,9 +9,8 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
-from gffe_cl.engine.inference.network import OPENCL, default_model, load_network
-from gffe_cl.engine.inference.substitute import SubstituteNetwork
+from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
+from gffe_cl.engine.inference.network import OPENCL, SubstituteNetwork, default_model, load_network
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline

@@ -8,8 +8,15 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.engine.inference.integer_layers import BLOCK, FIRST_CHANNELS, Image, IntegerNetwork, Layer
-from gffe_cl.engine.inference.model_interface import INPUT_PLANES, JUDGEMENT_PLANES
+from gffe_cl.engine.inference.layers import (
+    BLOCK,
+    FIRST_CHANNELS,
+    INPUT_PLANES,
+    JUDGEMENT_PLANES,
+    Image,
+    IntegerNetwork,
+    Layer,
+)
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options

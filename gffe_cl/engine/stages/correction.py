@@ -11,9 +11,8 @@ from typing import Any, ClassVar
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.engine.inference.model_interface import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
-from gffe_cl.engine.inference.network import KernelNetwork, Network, load_network
-from gffe_cl.engine.inference.sessions import CPU
+from gffe_cl.engine.inference.layers import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
+from gffe_cl.engine.inference.network import CPU, KernelNetwork, Network, load_network
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.engine.inference.model_interface import INPUT_PLANES
+from gffe_cl.engine.inference.layers import INPUT_PLANES
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec

@@ -5,7 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.engine.inference.model_interface import CANDIDATE_PLANES
+from gffe_cl.engine.inference.layers import CANDIDATE_PLANES
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Kernel, Stage, Step

@@ -24,8 +24,8 @@ from pathlib import Path
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS
-from gffe_cl.engine.inference.substitute import SubstituteNetwork
+from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
+from gffe_cl.engine.inference.network import SubstituteNetwork
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline

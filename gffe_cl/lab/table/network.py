@@ -17,7 +17,7 @@ import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
-from gffe_cl.engine.inference.sessions import NetworkError, one_line, open_session
+from gffe_cl.engine.inference.network import NetworkError, one_line, open_session
 from gffe_cl.lab.table.datasets import Moment, Shot
 
 _MULTIPLE = 32

@@ -16,7 +16,7 @@ import onnx
 import torch
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.inference.model_interface import (
+from gffe_cl.engine.inference.layers import (
     HEAD,
     INPUT_PLANES,
     INPUTS,
@@ -26,8 +26,9 @@ from gffe_cl.engine.inference.model_interface import (
     head_weights,
     shapes_at,
 )
-from gffe_cl.engine.inference.sessions import open_session
+from gffe_cl.engine.inference.network import open_session
 from gffe_cl.engine.stages.shading_trend import TREND_PLANES
+from gffe_cl.lab.training.layers import write_layers
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork
 from gffe_cl.lab.training.quantization import rounded_weights, store_integers
 
@@ -39,7 +40,8 @@ INTEGER_TOLERANCE = 0.4  # of integers, the root of the mean square of values in
 def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = False) -> float:
     """Write `network` to `path`: its convolutions, for frames of any height and width, and the head's weights. Return
     the largest difference between onnxruntime and PyTorch on random input of two sizes. `integers`: the network was
-    quantized; then the root of the mean squared difference is returned, because integers may be off by one.
+    quantized. Then its layers for kernels are written beside it, and the root of the mean squared difference is
+    returned, because integers may be off by one.
 
     Raises GffeError if they disagree, or the file cannot be written; then there is none.
     """
@@ -76,6 +78,8 @@ def export_onnx(network: ShadingCorrectionNetwork, path: Path, integers: bool = 
         if not difference <= most:
             raise GffeError(f"{path}: onnxruntime and PyTorch differ by {difference:.2g} (expected at most {most:g})")
         os.replace(part, path)
+        if integers:
+            write_layers(path)
     except OSError as error:
         raise GffeError(f"{path}: cannot write the model: {error.strerror or error}") from None
     finally:

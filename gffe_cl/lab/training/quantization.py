@@ -19,7 +19,7 @@ import torch
 from onnx import helper, numpy_helper
 from torch import Tensor, nn
 
-from gffe_cl.engine.inference.model_interface import OUTPUT
+from gffe_cl.engine.inference.layers import OUTPUT
 from gffe_cl.lab.training.network import ConvolutionLayers
 
 _LEVELS = 255  # steps of an activation's range

@@ -14,7 +14,7 @@ import pytest
 from exported import STRICT, require_compiler
 
 from gffe_cl.cli.run import open_source
-from gffe_cl.engine.inference.sessions import PACKAGED, cpu_model
+from gffe_cl.engine.inference.network import PACKAGED, cpu_model
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 

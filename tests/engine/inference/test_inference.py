@@ -10,8 +10,7 @@ import tiny_sequence
 from scn_models import constant_model, look_model
 
 from gffe_cl.engine.inference import network as inference
-from gffe_cl.engine.inference import sessions
-from gffe_cl.engine.inference.model_interface import shapes_at
+from gffe_cl.engine.inference.layers import shapes_at
 from gffe_cl.engine.inference.network import NetworkError, load_network
 
 LOADS = "from gffe_cl.engine.inference.network import load_network; load_network({!r}).session.get_inputs()"
@@ -49,16 +48,17 @@ def test_there_are_two_providers(tmp_path):
 def test_kernels_run_the_network_where_onnxruntime_is_not_installed(monkeypatch):
     monkeypatch.setattr(inference, "_loaded", {})
     monkeypatch.setitem(sys.modules, "onnxruntime", None)
-    network = load_network(sessions.cpu_model(sessions.PACKAGED), None)
+    network = load_network(inference.cpu_model(inference.PACKAGED), None)
     assert network.layers and inference.reason(network, None, on_gpu=False) == "onnxruntime is not installed"
-    sessions.load_onnxruntime.cache_clear()
+    inference.load_onnxruntime.cache_clear()
     with pytest.raises(NetworkError, match="onnxruntime is not installed"):
-        load_network(sessions.PACKAGED)
+        load_network(inference.PACKAGED)
 
 
 @pytest.mark.parametrize("command", ["run", "eval", "view"])
 def test_every_command_says_once_that_kernels_cannot(device, gffe, tmp_path, monkeypatch, command):
     """... the viewer in its window, too."""
+    inference.load_onnxruntime()
     monkeypatch.setattr(inference, "has_onnxruntime", lambda: False)
     scn, said = ("--scn-provider", "auto", "--scn-model", look_model(tmp_path / "m.onnx")), []
     if command == "run":

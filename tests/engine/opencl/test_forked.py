@@ -11,7 +11,7 @@ from scn_models import constant_model
 
 import gffe_cl
 from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame
-from gffe_cl.engine.inference.model_interface import shapes_at
+from gffe_cl.engine.inference.layers import shapes_at
 from gffe_cl.engine.inference.network import load_network
 
 pytestmark = [

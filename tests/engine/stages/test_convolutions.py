@@ -13,8 +13,7 @@ from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.engine.inference import network as inference
-from gffe_cl.engine.inference.network import OPENCL, load_network
-from gffe_cl.engine.inference.sessions import cpu_model
+from gffe_cl.engine.inference.network import OPENCL, cpu_model, load_network
 
 SIZES = [(61, 37), (1, 1), (130, 70), (20, 150)]
 

@@ -14,7 +14,7 @@ from twin_cases import run
 
 from gffe_cl import GffeError, Options, Pipeline
 from gffe_cl.engine.inference import network as inference
-from gffe_cl.engine.inference.model_interface import HEAD_WEIGHTS, OUTPUT, shapes_at
+from gffe_cl.engine.inference.layers import HEAD_WEIGHTS, OUTPUT, shapes_at
 from gffe_cl.engine.inference.network import load_network
 from gffe_cl.engine.opencl.device import quiet_builds
 from gffe_cl.engine.stages.correction import ShadingCorrection

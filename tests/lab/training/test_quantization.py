@@ -12,7 +12,7 @@ from onnx import numpy_helper  # noqa: E402
 
 from gffe_cl import GffeError  # noqa: E402
 from gffe_cl.engine.inference import network as inference  # noqa: E402
-from gffe_cl.engine.inference.sessions import cpu_model  # noqa: E402
+from gffe_cl.engine.inference.network import cpu_model  # noqa: E402
 from gffe_cl.lab.training.export import differences, export_onnx  # noqa: E402
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork  # noqa: E402
 from gffe_cl.lab.training.quantization import equalize, quantize  # noqa: E402
@@ -82,6 +82,8 @@ def test_the_file_holds_integers(network, tmp_path):
     assert floats == {"seen.0.weight", "out.weight"}
     loaded = inference.Network(tmp_path / "scn-int8.onnx")
     assert np.array_equal(loaded.head, network.head_weights())
+    kernels = inference.KernelNetwork(tmp_path / "scn-int8.onnx")  # the layers lie beside it
+    assert len(kernels.layers.layers) == 19 and np.array_equal(kernels.head, loaded.head)
     torch.manual_seed(1)
     assert differences(ShadingCorrectionNetwork().eval(), tmp_path / "scn-int8.onnx")[1] > 0.2
 
