@@ -175,22 +175,9 @@ def distance(a: Camera, b: Camera) -> float:
     return length((ax - bx, ay - by, az - bz))
 
 
-def polynomial_weights(times: Sequence[float], time: float, max_order: int) -> np.ndarray:
-    """Return the Lagrange weights of P_i − P_0 at `time`, for every order that `times` (newest first) allow.
-
-    Returns
-    -------
-    (max_order, max_order) float32
-        [o − 1, i − 1]: the weight of (P_i − P_0), i ≤ o, in the polynomial of order o. Order 1 gives −α.
-    """
-    weights = np.zeros((max_order, max_order), np.float32)
-    for order, row in enumerate(_polynomial(times[: max_order + 1], time)):
-        weights[order, : len(row)] = row
-    return weights
-
-
 def _polynomial(times: Sequence[float], time: float) -> list[list[float]]:
-    """Return the rows of `polynomial_weights` as far as they are not 0."""
+    """Return the Lagrange weights of P_i − P_0 at `time`, for every order that `times` (newest first) allow: a row for
+    each order o, i = 1 … o. Order 1 gives −α."""
     nodes = [node - times[0] for node in times]
     rows = []
     for order in range(1, len(times)):

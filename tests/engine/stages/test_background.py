@@ -5,9 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
-import twins
 from synthetic import Rect, Rects, camera
-from twin_cases import assert_close, read_levels
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.captures.scenes import load_scene
@@ -15,9 +13,8 @@ from gffe_cl.captures.scenes.renderer import SceneRenderer
 from gffe_cl.captures.scenes.sequences import SceneFrames
 from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.window import WindowChooser
-from gffe_cl.engine.stages.background import EDGE, REMEMBERED, SHOWN
+from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING
-from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
 
 W, H = 128, 80
@@ -35,38 +32,6 @@ def play(pipeline, scene, cameras, each=None, noise=0.0):
         previous = (cam, k / 30)
         if each:
             each(k)
-
-
-def test_kernels_equal_their_twins(case):
-    """Which texels hold what, exactly, and the labels of filled pixels; colors, depth and positions to a rounding of a
-    division."""
-    if not case.options.levels:
-        assert "background" not in case.pipeline.stages
-        return
-    color, depth, dynamic = case.now.color, case.now.depth, case.read("history", "dynamic_mask")
-    links = case.read("connectivity", "links")
-    level0 = twins.collect_shown(color, depth, dynamic)
-    expected = twins.collect_levels(case.before.levels, level0, depth, dynamic, links, case.from_previous)
-    found = read_levels(case.pipeline, case.now)
-    for level, (got, wanted) in enumerate(zip(found, expected, strict=True)):
-        assert np.array_equal(got["state"], wanted["state"]), level
-        kept = np.isin(wanted["state"], (SHOWN, REMEMBERED))
-        for name in ("color", "depth", "px"):
-            assert_close(got[name][kept], wanted[name][kept])
-    assert (expected[0]["state"] == REMEMBERED).any()
-    assert (expected[0]["state"] == EDGE).any()
-
-    warped = case.after("hidden_parts")
-    warped |= twins.project_background(warped, found, case.zoom, case.to_target, case.to_source)
-    if case.options.hole_filling == "far-side":
-        before = case.past.color, case.past.depth, reprojection(case.to, case.past.camera)
-        warped |= {"color": twins.mix_far_side(warped, before)}
-    left = case.after("background")
-    assert np.array_equal(left["filled_by"], warped["filled_by"])
-    smaller = warped["depth"].size < depth.size  # there cracks are closed over the few pixels that movers uncover
-    assert smaller or np.isin(warped["filled_by"], range(1, case.options.levels + 1)).any()
-    for name in ("color", "depth", "motion"):
-        assert_close(left[name], warped[name])
 
 
 @pytest.mark.parametrize("levels", [1, 2])

@@ -3,8 +3,7 @@
 import numpy as np
 import tiny_frames
 import twins
-from twins.common import decode_color, encode_color
-from twins.warp import codes_of
+from twins import codes_of, decode_color, encode_color
 
 from gffe_cl import Camera, Options, Pipeline, RenderedFrame
 

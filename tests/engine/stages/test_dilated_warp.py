@@ -1,34 +1,14 @@
-"""Dilated warp: the kernels against their twins, and what the preset that uses it promises."""
+"""Dilated warp: what the preset that uses it promises."""
 
 import numpy as np
-import pytest
 from synthetic import Rect, Rects, camera
-from twin_cases import assert_close, run
-from twins.dilated_warp import dilated_splat, resample_dilated
+from twin_cases import run
 
 from gffe_cl.engine.options import PRESETS, Options
 from gffe_cl.engine.pipeline.order import stages_of
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 
 OPTIONS = Options.preset("performance")
-SIZES = ((61, 37), None), ((48, 33), (64, 48)), ((64, 48), (40, 31)), ((5, 4), None)
-
-
-@pytest.mark.parametrize("int64", [True, False], ids=["one pass", "two passes"])
-@pytest.mark.parametrize(("size", "target"), SIZES)
-def test_kernels_equal_their_twins(device, lanes, size, target, int64):
-    """The place that each pixel gets and all masks exactly; colors, depth and motion to a rounding."""
-    if int64 and not device.int64_atomics:
-        pytest.skip("the device has no 64-bit atomics")
-    case = run(device, *size, OPTIONS, int64, target)
-    positions, dynamic = case.read("prediction", "target_position"), case.read("history", "dynamic_mask")
-    keys = dilated_splat(positions, case.now.depth, case.zoom, case.pipeline.sizes.target)
-    expected = resample_dilated(keys, positions, case.now.color, dynamic, case.zoom, case.to_source, case.sharpness)
-    for name in ("dynamic", "disoccluded", "filled_by"):
-        assert np.array_equal(case.made.numpy(name), expected[name]), name
-    for name in ("color", "depth", "motion"):
-        assert_close(case.made.numpy(name), expected[name])
-    assert size != SIZES[0][0] or 0 < expected["disoccluded"].sum() < keys.size / 4
 
 
 def test_a_still_frame_keeps_its_bits(device, lanes):

@@ -4,9 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import twins
 from synthetic import Rect, Rects, camera
-from twin_cases import assert_close
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING
@@ -28,29 +26,6 @@ def last_frame(device, rects, options=None, target=(W, H), count=8):
         previous = (still, k / 30)
     time, to = (count - 0.5) / 30, camera(*target)
     return pipeline.extrapolate(to, time), scene.frame(to, time, *target), frame
-
-
-def test_kernel_equals_its_twin(case):
-    """Which pixels are filled, exactly; colors, depth and motion to a rounding of a division."""
-    warped, reach = case.after("warp"), case.pipeline.stages["hidden_parts"].reach
-    before = case.now.motion, case.past.depth, case.to_previous
-    tracked = [case.read(*name) for name in (("history", "dynamic_mask"), ("connectivity", "links"))]
-    tracked.append(case.read("history", "met_depth"))
-    target_position = case.read("prediction", "target_position")
-    entering = (case.now.color, tracked[0], target_position) if case.options.entering else None
-    warped |= twins.fill_hidden_parts(warped, case.now.depth, case.zoom, case.to_source, reach, entering, before)
-    warped |= twins.show_reappearing(warped, case.now, case.past, tracked, target_position, case.zoom, reach)
-    left = case.after("hidden_parts")
-    assert np.array_equal(left["filled_by"], warped["filled_by"])
-    assert np.array_equal(left["dynamic"], warped["dynamic"])
-    y, x = np.nonzero(warped["filled_by"] == BY_HIDDEN_PART)
-    place = np.stack([x, y], -1) + 0.5 + warped["motion"][y, x]
-    outside = ((place < 0) | (place >= case.now.depth.shape[::-1])).any(-1)
-    assert not outside.all() and outside.any() == case.options.entering
-    if case.options.crack_closing and case.zoom.min() >= 1:  # in the other cases there are none
-        assert (warped["filled_by"] == BY_REAPPEARING).any()
-    for name in ("color", "depth", "motion"):
-        assert_close(left[name], warped[name])
 
 
 @pytest.mark.parametrize("target", [(W, H), (W * 3 // 2, H * 3 // 2)], ids=["same size", "larger"])

@@ -1,15 +1,12 @@
-"""History tracking: the kernels against their twins, for all numbers of lanes and images smaller than a lane's reach;
-what is dynamic, and what is not."""
+"""History tracking: what is dynamic, and what is not."""
 
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import twins
 from device_arrays import copy_to
 from moving_scene import MOVING, WALL, H, W, half, submit
 from synthetic import Rect, Rects, camera
-from twin_cases import assert_close, frames, read_history
 
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, host_arrays
@@ -18,73 +15,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.color_code import ColorCode
-from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.history import HistoryTracking
-
-SIZES = [(1, 1), (2, 5), (8, 1), (13, 9), (16, 12), (61, 37)]
-
-
-def test_kernel_equals_its_twin(case):
-    """Masks, histogram and threshold exactly; positions to a rounding of the device's division."""
-    now, past, options, before = case.now, case.past, case.options, case.before
-    threshold, error = np.float32((options.static_threshold or 0) ** 2), twins.EXACT
-    if options.static_threshold is None:
-        histogram = twins.residual_histogram(now.depth, now.motion, case.to_previous, before.steps)
-        assert np.array_equal(case.read("history", "residual_histogram"), histogram)
-        threshold, error, _ = twins.static_threshold(now.depth, now.motion, case.to_previous, before.steps)
-    assert case.read("history", "static_threshold_squared") == threshold
-    dynamic, met_depth, history = twins.track_history(
-        now.depth, now.motion, options.history, threshold, case.to_previous, case.from_previous, past.depth,
-        before.dynamic, before.history, error=error,
-    )  # fmt: skip
-    assert np.array_equal(case.read("history", "dynamic_mask"), dynamic)
-    assert 0.02 < dynamic.mean() < 0.6
-    assert_close(case.read("history", "met_depth"), met_depth)
-    if options.history > 2:
-        assert_close(read_history(case.pipeline), history)
-
-
-@pytest.mark.parametrize("positions", [2, 4])
-@pytest.mark.parametrize("size", SIZES, ids=str)
-def test_tracking(device, lanes, size, positions):
-    """Masks and thresholds over four frames; the histogram begins each frame empty, and nothing is known of what is
-    static, or has become so."""
-    width, height = size
-    board = Board(device, Sizes(size, size), Options(history=positions, order=1))
-    stage = HistoryTracking(board)
-    ColorCode(board)  # whose colors it encodes, if the step asks for it
-    past = dynamic = history = None
-    steps = twins.EXACT
-    for frame in frames(width, height, 5):
-        host = host_arrays(frame).in_device_layout()
-        before = board.rendered
-        taken = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
-        copy_to(device, taken, host)
-        stage.swap()
-        board.show(taken, before)
-        stage.rendered(Step(taken, before, []))
-        if past is None:
-            expected = *(np.zeros((height, width)) for _ in range(2)), np.zeros((positions - 1, height, width, 4))
-        else:
-            to_previous = reprojection(frame.camera, past.camera)
-            histogram = twins.residual_histogram(frame.depth, frame.motion, to_previous, steps)
-            assert np.array_equal(stage.read("residual_histogram"), histogram)
-            threshold, error, steps = twins.static_threshold(frame.depth, frame.motion, to_previous, steps)
-            assert np.array_equal(stage.read("motion_steps").ravel(), steps)
-            assert stage.read("static_threshold_squared") == threshold
-            turned = to_previous, reprojection(past.camera, frame.camera)
-            before = past.depth, dynamic, history
-            expected = twins.track_history(
-                frame.depth, frame.motion, positions, threshold, *turned, *before, error=error
-            )
-        dynamic, met, history = (stage.read(name) for name in ("dynamic_mask", "met_depth", "history"))
-        assert np.array_equal(dynamic, expected[0])
-        assert np.array_equal(met > 0, expected[1] > 0) and np.allclose(met, expected[1], rtol=1e-5)
-        if positions > 2:  # else the depth met is all that is stored
-            assert np.array_equal(history[..., 3], expected[2][..., 3])
-            assert np.allclose(history[:, dynamic > 0], expected[2][:, dynamic > 0], rtol=1e-5, atol=1e-5)
-        past = frame
-    assert dynamic.any() or width * height < 200
 
 
 @pytest.mark.parametrize(("lookups", "sign"), [(1, 1), (2, 1), (1, -1)])
@@ -94,7 +25,7 @@ def test_threshold_beside_quantization(device, lanes, lookups, sign):
     width, height, encoding = 320, 180, Encoding.parse("half-uv")
     world = Rects([Rect((0, 0, 14), (40, 30)), Rect((0, 0, 6), (1.2, 1.2), velocity=(4, 0, 0))])
     board = Board(device, Sizes((width, height), (width, height)), Options())
-    stage, past, steps = HistoryTracking(board), None, twins.EXACT
+    stage, past = HistoryTracking(board), None
     ColorCode(board)
     for k in range(3):
         view = camera(width, height, (0.02 * k, 0.02 * k, 0.6 * k))
@@ -107,12 +38,9 @@ def test_threshold_beside_quantization(device, lanes, lookups, sign):
         stage.swap()
         board.show(taken, before)
         stage.rendered(Step(taken, before, []))
-        if past is not None:
-            to_previous = reprojection(frame.camera, past.camera)
-            threshold, error, steps = twins.static_threshold(frame.depth, frame.motion, to_previous, steps)
         past = frame
-    assert stage.read("static_threshold_squared") == threshold and threshold <= 0.25**2
-    assert np.array_equal(stage.read("quantization_error").ravel(), error)
+    assert stage.read("static_threshold_squared") <= 0.25**2
+    error = stage.read("quantization_error").ravel()
     steps = np.array(((1920 / 1024, 1920 / 2048)[::sign], (1080 / 1024, 1080 / 2048)[::sign])).ravel()
     assert np.allclose(error, lookups * steps / 2, rtol=0.07)
     dynamic = stage.read("dynamic_mask") > 0

@@ -1,74 +1,11 @@
-"""Filling of holes: the kernels against their twins, and what fills which hole."""
+"""Filling of holes: what fills which hole."""
 
 import numpy as np
-import pytest
-import twins
 from moving_scene import MOVING, WALL, H, W, dolly, submit
 from synthetic import Rect, Rects, camera
-from twin_cases import frames
 
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.outputs import Output
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.frame_block import reprojection
-
-
-def filled_holes(pipeline, warped, frame, to_source):
-    """Return what the twin makes of holes. Lines at the border, or sums of blocks, are the twin's; sums are float32 on
-    the device and float64 in the twin."""
-    stage = pipeline.stages["holes"]
-    if stage.reach:
-        lines = pipeline.stages["warp"].read("border_lines")
-        expected = twins.border_lines(pipeline.stages["color_code"].read("codes")[..., :3])
-        np.testing.assert_allclose(lines, expected, rtol=1e-4, atol=1e-6 * np.abs(lines).max())
-        assert (lines[0] > 0).sum() > 10
-        rendered = twins.load_color(frame.color), frame.depth, pipeline.stages["history"].read("dynamic_mask")
-        return twins.fill_far_side(warped, stage.reach, to_source, rendered, lines)
-    sums = twins.downsample(warped, frame.color, frame.depth)
-    np.testing.assert_allclose(stage.read("downsampled_color"), sums[0], rtol=1e-4, atol=1e-4)
-    np.testing.assert_allclose(stage.read("downsampled_inverse_depth"), sums[1], rtol=1e-4, atol=1e-5)
-    return twins.fill_from_downsampled(warped, *sums, to_source)
-
-
-def assert_filled(got, filled, holes):
-    for name in ("color", "depth", "motion"):
-        assert got[name][~holes].tobytes() == filled[name][~holes].tobytes()
-        np.testing.assert_allclose(
-            got[name][holes].astype(np.float32), filled[name][holes].astype(np.float32), rtol=2e-3, atol=2e-3
-        )
-
-
-def test_kernels_equal_their_twins(case):
-    """Lines at the border, block sums, and filled pixels."""
-    warped = case.after("background" if case.options.levels else "hidden_parts")
-    holes = warped["filled_by"] == twins.COMMON.BY_NOTHING
-    assert np.array_equal(case.made.numpy("filled_by") == twins.COMMON.BY_HOLE_FILLING, holes)
-    filled = filled_holes(case.pipeline, warped, case.now, case.to_source)
-    assert_filled(case.after("holes"), filled, holes)
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("filling", ["far-side", "downsample"])
-@pytest.mark.parametrize(("entering", "least"), [(False, 0.9), (True, 0.7)])  # what enters fills the rest
-def test_large_holes(device, filling, entering, least):
-    """Wider than the reach: labels stay, and fills are the twin's."""
-    width, height = 301, 70
-    pipeline = Pipeline(device, width, height, Options(hole_filling=filling, soft_silhouettes=False, entering=entering))
-    past, frame = frames(width, height, count=2, spoil=False)
-    for submitted in (past, frame):
-        pipeline.submit(submitted)
-    names = ("color", "depth", "motion", "filled_by")
-    pipeline.keep(f"background.{name}" for name in names)
-    to = camera(width, height, (0, 0, 0), 0.6)
-    pipeline.extrapolate(to, 0.05)
-    kept = next(owner for owner, _ in pipeline.named_buffers() if isinstance(owner, Output))
-    left = {name: kept.read(name) for name in names}
-    holes = left["filled_by"] == twins.COMMON.BY_HOLE_FILLING
-    assert holes[:, -60:].mean() > least
-    left |= {"filled_by": np.where(holes, twins.COMMON.BY_NOTHING, left["filled_by"])}
-    left |= {"dynamic": pipeline.board.frame.read("dynamic")}
-    filled = filled_holes(pipeline, left, frame, reprojection(to, frame.camera))
-    assert_filled({name: pipeline.board.frame.read(name) for name in names}, filled, holes)
 
 
 def test_holes_are_filled_with_surroundings(device):

@@ -5,12 +5,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import twins
 from synthetic import Rect, Rects, camera
 
+from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.backward_blocks import COPIED
+from gffe_cl.engine.stages.buffers import BLOCK
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, BlockWriter
 
 W, H, FRAMES = 131, 75, 6
@@ -98,18 +99,36 @@ def test_a_still_frame_is_the_rendered_one(device, lanes):
         assert not any(made.numpy(name).any() for name in ("motion", "dynamic", "disoccluded", "filled_by"))
 
 
+def last_stir(before, number, depth, dynamic, depth_prev):
+    """Return (rows, columns) int32: the number of the last frame in which something stirred near each block, under a
+    camera that rests. `before`: the same of the frame before; `depth_prev` None after a reset, when nothing is looked
+    for."""
+    height, width = depth.shape
+    (side_x, side_y), reach = BLOCK, constants("history.cl")["STIR_REACH"]
+    rows, columns = -(-height // side_y), -(-width // side_x)
+    found = np.zeros((rows, columns), np.int32) if before is None else before.copy()
+    if depth_prev is None:
+        return found
+    stirs = (dynamic > 0) | ~(depth > 0) | (depth != depth_prev)
+    for by, bx in np.ndindex(rows, columns):
+        y0, x0 = max(by * side_y - reach, 0), max(bx * side_x - reach, 0)
+        if stirs[y0 : (by + 1) * side_y + reach, x0 : (bx + 1) * side_x + reach].any():
+            found[by, bx] = number
+    return found
+
+
 def test_where_something_stirs(device, lanes):
-    """The number of the last such frame, of each block, against its twin; and the classes of blocks that follow."""
+    """The number of the last such frame, of each block, in NumPy; and the classes of blocks that follow."""
     pipeline, stirred, past = Pipeline(device, W, H, Options(shading_correction=False)), None, None
     for number, frame in enumerate(rendered([CAMERA] * FRAMES, spoil=True), 1):
         pipeline.submit(frame)
         dynamic = pipeline.stages["history"].read("dynamic_mask")
-        stirred = twins.last_stir(stirred, number, frame.depth, dynamic, past)
+        stirred = last_stir(stirred, number, frame.depth, dynamic, past)
         assert np.array_equal(pipeline.stages["history"].read("last_stir"), stirred), number
         past = frame.depth
     pipeline.extrapolate()
     smooth, classes = (pipeline.stages["backward_blocks"].read(name) for name in ("smooth", "block_class"))
-    assert np.array_equal(smooth == twins.BLOCKS.RESTING, stirred != number)
+    assert np.array_equal(smooth == constants("backward_blocks.cl")["RESTING"], stirred != number)
     assert not (classes == COPIED)[stirred == number].any()
     assert 0.6 < (classes == COPIED).mean() < 0.95
 

@@ -1,89 +1,23 @@
-"""Temporal anti-aliasing and upsampling: kernels against their twin, and what it promises: jitter that nothing takes
-for motion, pictures better than resampled ones, no shimmer, no ghosts, thin bars that stay."""
+"""Temporal anti-aliasing and upsampling, what it promises: jitter that nothing takes for motion, pictures better than
+resampled ones, no shimmer, no ghosts, thin bars that stay."""
 
 import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-import twins
 from synthetic import Rect, Rects, camera
-from twins import upscaling as twin
-from upscaling_frames import JITTER, MOVING, STILL, H, W, color_of, frames, path, pipeline_for
+from upscaling_frames import JITTER, STILL, H, W, color_of, frames, path, pipeline_for
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.engine.frame.jitter import Jitter, without_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.frame_block import mapping, reprojection
 
 
 def psnr(a, b):
     return -10 * np.log10(np.mean((np.clip(a[..., :3].astype(np.float64), 0, 1) - np.clip(b, 0, 1)) ** 2))
-
-
-@pytest.mark.parametrize("size, render_size", [((53, 37), (27, 19)), ((45, 30), (30, 20)), ((31, 22), (31, 22))])
-def test_every_kernel_does_what_its_twin_does(device, size, render_size):
-    """Colors to two roundings to half and of sums in another order; bounds where a threshold is met are left out."""
-    scene, pipeline, before = Rects(MOVING.rects + [Rect((0.3, 0, 4), (0.04, 3), tint=(9, 8, 5))]), None, None
-    pipeline = pipeline_for(device, size, render_size=render_size, cut_detection=False)
-    pipeline.exposure, rng = 1.7, np.random.default_rng(3)
-    stage = pipeline.stages["upscaling"]
-    for k in range(5):
-        shown = camera(*size, (0.04 * k, 0.01 * k, 0.05 * k), 0.004 * k)
-        small = shown.scaled(render_size[0] / size[0], render_size[1] / size[1])
-        render = JITTER.camera(small, k)
-        last = before
-        frame = scene.frame(render, k / 30, *render_size, last and (last.camera, last.time), reset=last is None)
-        if k == 3:
-            for array, values in (
-                (frame.depth, (np.nan, -1)),
-                (frame.motion, (np.nan, 1e9)),
-                (frame.color, (np.nan, np.inf)),
-            ):
-                for value in values:
-                    array[rng.integers(render_size[1]), rng.integers(render_size[0])] = value
-        frame = replace(frame, display_camera=shown)
-        state = stage.read("history"), stage.read("lock")
-        pipeline.submit(frame)
-        if last is None:
-            last = frame
-        maps = (
-            reprojection(render, last.camera),
-            mapping(last.camera, last.display_camera),
-            np.float32(1.7),
-            k > 0,
-        )
-        packed = np.nan_to_num(frame.color.astype(np.float32), nan=0, posinf=65504)
-        depth, motion, _ = twins.convert_geometry(frame.depth, frame.motion if k else np.zeros_like(frame.motion))
-        made = [
-            twin.compare(packed, depth, motion,
-                         last.depth, state[0][..., :3].astype(np.float32), *maps)
-        ]  # fmt: skip
-        compressed, dilated, surprise = (stage.read(name) for name in ("compressed", "dilated", "surprise"))
-        np.testing.assert_allclose(compressed, made[0][0], atol=2e-3)
-        np.testing.assert_array_equal(dilated, made[0][1])
-        assert np.mean(np.abs(surprise - made[0][2]) > 4e-3) < 0.01
-        for name, expected in zip(("mean", "deviation"), twin.survey(compressed, surprise), strict=True):
-            assert np.mean(np.abs(stage.read(name) - expected) > 4e-3 * (1 + np.abs(expected))) < 0.002
-        found = twin.accumulate(
-            size, mapping(shown, render), maps[1], *maps[2:], compressed, dilated, stage.read("mean"),
-            stage.read("deviation"), state,
-        )  # fmt: skip
-        history = stage.read("history")
-        off = np.abs(history.astype(np.float32) - found[0]) > 4e-3 * (1 + np.abs(found[0]))
-        assert off.mean() < 0.002
-        assert np.mean(stage.read("lock") != found[1]) < 0.002
-        assert np.mean(np.abs(stage.read("rejected") / 255 - found[2]) > 0.01) < 0.005
-        before = frame
-    made = pipeline.extrapolate(camera(*size, (0.18, 0.045, 0.23), 0.018), 4.5 / 30)
-    expected = twin.generate(
-        *(pipeline.board.frame.read(name) for name in ("depth", "motion", "disoccluded")),
-        made.numpy("gae"), made.numpy("gae"), history, mapping(frame.camera, frame.display_camera),
-    )  # fmt: skip
-    shown = made.numpy("color").astype(np.float32)
-    assert np.mean(np.abs(shown - expected) > 4e-3 * (1 + np.abs(expected))) < 0.002
 
 
 def test_jitter_is_no_motion(device):

@@ -1,31 +1,15 @@
-"""NumPy twins of the kernels: the oracles of the device tests.
+"""NumPy forms of kernels whose arithmetic is a formula: the oracles of their tests. recorded_bits.py holds the bits of
+all kernels.
 
 Plain float32 arithmetic in the kernels' order, whole images at a time. Cameras come as the same packed
 `Reprojection` arrays that kernels get, (6, 4) float32. Constants are read from the kernels' sources.
-
-One module per stage.
 """
 
-from twins.acceleration import track_acceleration
-from twins.background import (
-    EDGE,
-    REMEMBERED,
-    SHOWN,
-    collect_levels,
-    collect_shown,
-    mix_far_side,
-    project_background,
-    shown_state,
-)
-from twins.common import COMMON, centers, move, unproject
+from twins.common import codes_of, decode_color, encode_color, load_color, reproject
 from twins.composition import compose
 from twins.convolutions import judge_with
 from twins.correction import choose_flow, correct, follow_flow, judge
-from twins.hidden_parts import fill_hidden_parts, show_reappearing
-from twins.history import EXACT, last_stir, residual_histogram, static_threshold, track_history
-from twins.holes import border_lines, downsample, fill_far_side, fill_from_downsampled
 from twins.network_input import decode, depth_median, encode, network_input
-from twins.prediction import entering_depth, predict_positions
 from twins.presentation import present
 from twins.shading import prepare_inputs
 from twins.shading_flow import find_candidates, find_followed, find_texture
@@ -39,22 +23,11 @@ from twins.upload import (
     spread_geometry,
     undilated,
 )
-from twins.warp import BLOCKS, block_classes, link_surfaces, load_color, resolve, smooth_blocks, splat, unmixed
 
 __all__ = [
-    "BLOCKS",
-    "COMMON",
-    "EDGE",
-    "EXACT",
-    "REMEMBERED",
-    "SHOWN",
-    "block_classes",
-    "border_lines",
     "carry_trends",
-    "centers",
     "choose_flow",
-    "collect_levels",
-    "collect_shown",
+    "codes_of",
     "compose",
     "convert_color",
     "convert_described_color",
@@ -62,13 +35,10 @@ __all__ = [
     "convert_geometry",
     "correct",
     "decode",
+    "decode_color",
     "depth_median",
-    "downsample",
     "encode",
-    "entering_depth",
-    "fill_far_side",
-    "fill_from_downsampled",
-    "fill_hidden_parts",
+    "encode_color",
     "find_candidates",
     "find_change",
     "find_followed",
@@ -77,29 +47,13 @@ __all__ = [
     "follow_flow",
     "judge",
     "judge_with",
-    "last_stir",
-    "link_surfaces",
     "load_color",
     "measure_changes",
-    "mix_far_side",
     "motion_by_camera",
-    "move",
     "network_input",
-    "predict_positions",
     "prepare_inputs",
     "present",
-    "project_background",
-    "residual_histogram",
-    "resolve",
-    "show_reappearing",
-    "shown_state",
-    "smooth_blocks",
-    "splat",
+    "reproject",
     "spread_geometry",
-    "static_threshold",
-    "track_acceleration",
-    "track_history",
     "undilated",
-    "unmixed",
-    "unproject",
 ]

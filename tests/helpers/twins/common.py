@@ -97,3 +97,53 @@ def reproject(px, z, r):
     out = np.concatenate([xy, np.where(sky, INF, target[..., 2])[..., None]], -1)
     out[behind] = (0, 0, -1)
     return out.astype(F)
+
+
+def load_color(color):
+    c = np.nan_to_num(color[..., :3].astype(F), nan=0.0, posinf=COLOR_MAX, neginf=-COLOR_MAX)
+    return np.clip(c, -COLOR_MAX, COLOR_MAX)
+
+
+def codes_of(color):
+    """Return codes of an image's colors in half storage."""
+    return encode_color(load_color(color)).astype(np.float16)
+
+
+def cubic_weights(t, slope):
+    """Return weights of cubic convolution of the four taps around t, with `slope` at the taps."""
+    t2 = t * t
+    t3 = t2 * t
+    slope = F(slope)
+    return np.stack([
+        slope * (F(2) * t2 - t - t3),
+        F(1) + (slope - F(3)) * t2 + (F(2) - slope) * t3,
+        slope * t + (F(3) - F(2) * slope) * t2 + (slope - F(2)) * t3,
+        slope * (t3 - t2),
+    ])  # fmt: skip
+
+
+def cubic_of(taps, u, v, sharpness, white):
+    """Return codes at (u, v) from the first inner tap of 4×4 `taps`, by row and column, without corners."""
+    slope = WARP.CATMULL_ROM + WARP.SHARPER_SLOPE * sharpness
+    wx, wy = cubic_weights(u, slope), cubic_weights(v, slope)
+    wx = wx * (F(1) / (F(1) - (wx[0] + wx[3]) * (wy[0] + wy[3])))
+    cubic = F(0)
+    for tx in (1, 2, 0, 3):
+        column = wy[1][..., None] * taps[1, tx] + wy[2][..., None] * taps[2, tx]
+        if tx in (1, 2):
+            column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
+        cubic = cubic + wx[tx][..., None] * column
+    left, right = (taps[1, tx] + taps[2, tx] for tx in (0, 3))
+    above, below = (taps[ty, 1] + taps[ty, 2] for ty in (0, 3))
+    sides = np.stack([left, above, below, right])
+    inner = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
+    low, high = inner.min(0), inner.max(0)
+    span = WARP.FULL_EDGE - WARP.LEAST_EDGE
+    per_range = F(1 / span) / white
+    goes_on = F(0.5) * np.maximum(np.abs(right - left), np.abs(below - above)) - WARP.GOES_ON * (high - low)
+    edge = np.clip((high - low) * per_range - F(WARP.LEAST_EDGE / span), F(0), F(1))
+    edge = edge * np.clip(goes_on * per_range, F(0), F(1))
+    midway = F(1) - np.abs(F(2) * u - F(1)) * np.abs(F(2) * v - F(1))
+    amount = (WARP.STEEPER * sharpness * midway)[..., None]
+    cubic = cubic - amount * edge * (F(0.25) * (sides.min(0) + sides.max(0)) - cubic)
+    return np.clip(cubic, low, high)

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from twins.common import COMMON, F, centers
-from twins.warp import load_color
+from twins.common import COMMON, F, centers, load_color
 
 
 def layer_texels(layer):

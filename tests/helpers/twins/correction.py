@@ -3,10 +3,9 @@
 import numpy as np
 from numpy.lib.stride_tricks import sliding_window_view
 
-from twins.common import F, kernel_constants
+from twins.common import F, kernel_constants, load_color
 from twins.network_input import decode, encode, exp_less_one
 from twins.shading_flow import CANDIDATES, doubled, sampled
-from twins.warp import load_color
 
 CORRECTION = kernel_constants("correction.cl")
 

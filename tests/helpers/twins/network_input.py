@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F, kernel_constants
+from twins.common import COLOR_MAX, F, kernel_constants, load_color
 from twins.shading import SHADING
-from twins.warp import load_color
 
 NETWORK_INPUT = kernel_constants("network_input.cl")
 

@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from twins.common import WARP, F, centers
-from twins.warp import cubic_weights, load_color
+from twins.common import WARP, F, centers, cubic_weights, load_color
 
 
 def present(color, depth, motion, size, to_render, to_display, to_previous_display):

@@ -5,8 +5,7 @@ from types import SimpleNamespace
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
-from twins.common import F, invalid, reproject
-from twins.warp import load_color
+from twins.common import F, invalid, load_color, reproject
 
 CUTS = SimpleNamespace(**{n: F(v) if isinstance(v, float) else v for n, v in constants("scene_cuts.h").items()})
 

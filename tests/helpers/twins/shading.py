@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F, centers, kernel_constants, reproject
-from twins.warp import load_color
+from twins.common import COLOR_MAX, F, centers, kernel_constants, load_color, reproject
 
 SHADING = kernel_constants("warped_previous.h")
 

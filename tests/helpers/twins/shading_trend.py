@@ -2,9 +2,8 @@
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F, centers, kernel_constants, reproject
+from twins.common import COLOR_MAX, F, centers, kernel_constants, load_color, reproject
 from twins.network_input import log
-from twins.warp import load_color
 
 TREND = kernel_constants("shading_trend.cl")
 

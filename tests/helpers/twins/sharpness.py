@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from twins.common import F, invalid, kernel_constants, reproject, white
-from twins.warp import cubic_of
+from twins.common import F, cubic_of, invalid, kernel_constants, reproject, white
 
 SHARPNESS = kernel_constants("sharpness.cl")
 
