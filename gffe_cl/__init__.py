@@ -41,8 +41,6 @@ _HOME = {
     "ExtrapolatedFrame": "engine.pipeline.made_frame",
     "Options": "engine.options",
     "OPTIONS": "engine.options",
-    "choose_options": "engine.timing.choice",
-    "Stepper": "engine.timing.stepping",
     "Pipeline": "engine.pipeline.pipeline",
     "PresentedFrame": "engine.pipeline.made_frame",
     "open_capture": "captures.formats",

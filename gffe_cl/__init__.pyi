@@ -42,8 +42,6 @@ from gffe_cl.engine.pipeline.made_frame import PresentedFrame as PresentedFrame
 from gffe_cl.engine.pipeline.pacing import Pacer as Pacer
 from gffe_cl.engine.pipeline.pipeline import Pipeline as Pipeline
 from gffe_cl.engine.stages.presentation import present as present
-from gffe_cl.engine.timing.choice import choose_options as choose_options
-from gffe_cl.engine.timing.stepping import Stepper as Stepper
 from gffe_cl.lab.metrics import psnr as psnr
 from gffe_cl.lab.metrics import ssim as ssim
 

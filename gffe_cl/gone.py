@@ -6,6 +6,9 @@ Names of the API stand alone, commands and their options as they were typed: "gf
 GONE: dict[str, str] = {
     "GlSharing": "import memory of Vulkan by MemorySharing, or pass NumPy arrays to submit.",
     "gffe check --html": "`--json FILE` has all findings and residuals.",
+    "Stepper": "choose a preset (gffe bench prints what each costs); Pipeline.change_options works with other options.",
+    "choose_options": "choose a preset: gffe bench prints what each costs.",
+    "gffe bench --budget": "gffe bench prints what each preset costs.",
 }
 
 

@@ -4,7 +4,6 @@ uses it with a renderer and a window. Alone it simulates both, with a clock that
     python docs/examples/two_threads.py                                    30 → 60 frames/s for 10 s
     python docs/examples/two_threads.py --rate 40 --shown 144 --variable   on a display with a variable rate
     python docs/examples/two_threads.py --uneven 8 --stall 2:0.5 --resize 4 --cut 6 --lose 8:1
-    python docs/examples/two_threads.py --budget 8 --load 3:4              cheaper options while the GPU is busy
 """
 
 import argparse
@@ -47,9 +46,8 @@ def render(renderer, shared, clock, rate):
         clock.wait_until(due)
 
 
-def show(make_pipeline, display, shared, clock, pacer, stepper=None):
-    """Make and show frames until stopped. The thread owns the pipeline, its queue and buffers, and the display.
-    `stepper`: of the options that all pipelines are made with."""
+def show(make_pipeline, display, shared, clock, pacer):
+    """Make and show frames until stopped. The thread owns the pipeline, its queue and buffers, and the display."""
     pipeline = image = size = None
     while not shared.stopped:
         shared.size = display.size()
@@ -58,25 +56,20 @@ def show(make_pipeline, display, shared, clock, pacer, stepper=None):
             if frame.reset and frame.color.shape[1::-1] != size:
                 size = frame.color.shape[1::-1]
                 pipeline = make_pipeline(*size)
-                if stepper:
-                    pipeline.change_options(stepper.options)
             pipeline.submit(frame)  # every frame, in order: the motion of each leads to the one before
             pacer.rendered(frame.time, frame.reset)
         if pipeline is None or not display.is_there():
             clock.wait_until(clock.now() + 0.01)  # frames are still taken, but none is made
             continue
-        plan = pacer.plan(begun := clock.now())
+        plan = pacer.plan(clock.now())
         if not plan.held:
             image = display.make(pipeline, plan, size)
         pacer.ready(clock.now())
-        steps = stepper and not plan.held and stepper.took(1e3 * (clock.now() - begun))
-        if steps and pipeline.keeps_frames(stepper.options):  # false after the viewer switched a module
-            pipeline.change_options(stepper.options)
         clock.wait_until(plan.refresh)
         display.show(image, plan)
 
 
-def run(renderer, make_pipeline, display, shared, clock, rate, pacer, stepper=None):
+def run(renderer, make_pipeline, display, shared, clock, rate, pacer):
     """Run both threads until one stops or fails: the renderer's, and the caller's, as windows want it."""
     failed = []
 
@@ -92,7 +85,7 @@ def run(renderer, make_pipeline, display, shared, clock, rate, pacer, stepper=No
 
     thread = threading.Thread(target=guarded, args=(render, renderer, shared, clock, rate))
     thread.start()
-    guarded(show, make_pipeline, display, shared, clock, pacer, stepper)
+    guarded(show, make_pipeline, display, shared, clock, pacer)
     thread.join()
     if failed:
         raise failed[0]
@@ -149,7 +142,7 @@ class SimulatedClock:
 
 @dataclass
 class Events:
-    """What happens in a simulation, in seconds. `stalls`, `losses`, `loads`: (when, how long)."""
+    """What happens in a simulation, in seconds. `stalls`, `losses`: (when, how long)."""
 
     seconds: float = 10.0
     rendering: float = 0.025
@@ -158,7 +151,6 @@ class Events:
     uneven: float = 0.0  # at most that much longer for a frame
     stalls: tuple[tuple[float, float], ...] = ()
     losses: tuple[tuple[float, float], ...] = ()
-    loads: tuple[tuple[float, float], ...] = ()  # making takes twice as long
     cuts: tuple[float, ...] = ()
     resizes: tuple[float, ...] = ()
 
@@ -210,9 +202,7 @@ class SimulatedPipeline(gffe.Pipeline):
 
     def extrapolate(self, camera, moment):
         made = super().extrapolate(camera, moment)
-        now, taken = self.clock.now(), self.events.making
-        taken *= 2 if any(when <= now < when + lasting for when, lasting in self.events.loads) else 1
-        self.clock.wait_until(now + taken * (1 if self.options.hidden_parts else 0.6))
+        self.clock.wait_until(self.clock.now() + self.events.making)
         return made
 
 
@@ -246,7 +236,7 @@ def figures(shown, pacer, shared):
     return made | {"age": float(np.median(age)), "oldest": float(age.max()), "jitter": told.jitter}
 
 
-def simulate(events, rate=30.0, shown=60.0, variable=False, device=None, stepper=None):
+def simulate(events, rate=30.0, shown=60.0, variable=False, device=None):
     """Return (figures, what was shown) of both threads under a simulated clock."""
     clock, shared = SimulatedClock(), Shared(events.size(0))
     pacer = gffe.Pacer(shown, fps=rate, variable=variable)
@@ -257,7 +247,7 @@ def simulate(events, rate=30.0, shown=60.0, variable=False, device=None, stepper
         pipeline.events, pipeline.clock = events, clock
         return pipeline
 
-    run(SimulatedRenderer(events, clock), make_pipeline, display, shared, clock, rate, pacer, stepper)
+    run(SimulatedRenderer(events, clock), make_pipeline, display, shared, clock, rate, pacer)
     return figures(display.shown, pacer, shared), display.shown
 
 
@@ -277,15 +267,12 @@ def main():
     parser.add_argument("--variable", action="store_true", help="the display has a variable rate (VRR)")
     parser.add_argument("--stall", **pairs, help="WHEN:SECONDS, a rendered frame that takes long")
     parser.add_argument("--lose", **pairs, help="WHEN:SECONDS, no display")
-    parser.add_argument("--load", **pairs, help="WHEN:SECONDS, new frames take twice as long")
-    parser.add_argument("--budget", type=float, help="ms of a new frame: cheaper options where it takes longer")
     parser.add_argument("--cut", type=float, nargs="*", default=(), help="WHEN")
     parser.add_argument("--resize", type=float, nargs="*", default=(), help="WHEN")
     given = parser.parse_args()
     times = (number / 1e3 for number in (given.rendering, given.taking, given.making, given.uneven))
-    events = Events(given.seconds, *times, given.stall, given.lose, given.load, given.cut, given.resize)
-    stepper = gffe.Stepper(given.budget, OPTIONS) if given.budget else None
-    for name, value in simulate(events, given.rate, given.shown, given.variable, stepper=stepper)[0].items():
+    events = Events(given.seconds, *times, given.stall, given.lose, given.cut, given.resize)
+    for name, value in simulate(events, given.rate, given.shown, given.variable)[0].items():
         print(f"{name:>17} {value:.2f} ms" if isinstance(value, float) else f"{name:>17} {value}")
 
 

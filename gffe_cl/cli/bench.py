@@ -23,7 +23,6 @@ from gffe_cl.cli.common import (
 )
 from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError, require_packages
-from gffe_cl.engine.core.validation import require_within
 
 if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import Device, DeviceInfo
@@ -82,13 +81,6 @@ def bench(
             " [dim](default size: 320x180, where kernels are short)[/].",
         ),
     ] = False,
-    budget: Annotated[
-        float | None,
-        typer.Option(
-            help="Budget, ms: choose the best preset of which a rendered and a new frame take that long at most"
-            " [dim](default size: 1920x1080)[/]."
-        ),
-    ] = None,
     lanes: Annotated[
         str, typer.Option(help="Pixels per work-item that --traffic counts: 1 as on GPUs, 8 as on CPUs, or 1,8.")
     ] = "1",
@@ -105,10 +97,6 @@ def bench(
 
     if repeats < 1:
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
-    if budget is not None:
-        from gffe_cl.engine.timing.choice import BUDGETS
-
-        require_within(budget, "--budget", *BUDGETS)
     parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
     if traffic:
         on = open_device(device, profiling=True)
@@ -121,8 +109,6 @@ def bench(
     asked = _Asked(opened, subject, parsed, frame, repeats, options)
     if host:
         report = _bench_host(asked)
-    elif budget is not None:
-        report = _bench_budget(asked, budget)
     elif methods:
         require_packages("--methods", "lab", "scipy")
         report = _bench_methods(asked)
@@ -220,21 +206,6 @@ def _bench_host(asked: _Asked) -> dict:
     return {"devices": report}
 
 
-def _bench_budget(asked: _Asked, budget: float) -> dict:
-    from gffe_cl.engine.timing.choice import choose_for
-    from gffe_cl.lab.bench.counting import SIZE
-
-    report = []
-    for device in asked.devices:
-        for size in asked.sizes_or(SIZE):
-            loop = asked.loop(device, size)
-            choice = choose_for(device, loop, budget, asked.options, asked.repeats)
-            out.print(plain(f"{device.info.platform}, {loop.width}×{loop.height}: {choice.sentence}"))
-            figures = {"of": loop.name, "width": loop.width, "height": loop.height}
-            report.append(_named(device.info) | figures | asdict(choice))
-    return {"budget": report}
-
-
 def _bench_traffic(
     device: Device,
     subject: str | None,
@@ -275,6 +246,9 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
         style = "bold" if part in ("GAE", "SCN") else None
         table.add_row(part, *figures, str(PAPER.get(part) or ""), style=style)
     table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")
+    for preset in last.presets:
+        times = (r.presets[preset] for r in results)
+        table.add_row(f"preset {preset}, ms", *("–" if ms is None else f"{ms:.2f}" for ms in times), "")
     table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "672")
     table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "")
     table.add_row("of which GAE's", *(f"{r.memory_gae / 2**20:.0f}" for r in results), "")

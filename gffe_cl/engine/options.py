@@ -46,7 +46,6 @@ class Option:
     off_flag : of the command line, short for the value `off`
     remembered : by the viewer, from one start to the next
     needs : another option, a module, without which it has no effect
-    rests : of a module, whether it can be off for some frames: nothing that others keep depends on it
     """
 
     name: str = ""
@@ -68,7 +67,6 @@ class Option:
     off_flag: str | None = None
     remembered: bool = True
     needs: str | None = None
-    rests: bool = False
 
     @property
     def is_module(self) -> bool:
@@ -284,7 +282,6 @@ class Options:
         "Filling of disocclusions from a moving object whose own motion explains them; off: from the background.",
         flag="--no-hidden-parts",
         needs="motion",
-        rests=True,
     )
     reappearing: bool = _option(
         True,
@@ -293,7 +290,6 @@ class Options:
         " behind them stays in view.",
         flag="--no-reappearing",
         needs="hidden_parts",
-        rests=True,
     )
     levels: int = _option(
         2,
@@ -360,7 +356,6 @@ class Options:
         off=False,
         automatic="auto: if there are weights",
         flag="--scn/--no-scn",
-        rests=True,
     )
     focus_mask: bool = _option(
         True,
@@ -410,11 +405,6 @@ class Options:
     def preset(cls, name: str, **values: Any) -> Options:
         """Return the options of a preset, "quality", "balanced" or "performance", with `values` of single options in
         place of its own. Raises GffeError for an unknown preset or an invalid value."""
-        if isinstance(name, str) and name == "auto":
-            raise GffeError(
-                "options: preset auto depends on device, size and picture (expected gffe.choose_options(device, frames,"
-                " budget_ms).options)"
-            )
         require_choice(name, PRESETS, "options: preset")
         return cls(**PRESETS[name].values | values)
 
@@ -462,14 +452,6 @@ class Options:
 
 
 OPTIONS: dict[str, Option] = {f.name: replace(f.metadata["option"], name=f.name) for f in fields(Options)}
-
-
-def is_part_of(options: Options, made: Options) -> bool:
-    """Return whether a pipeline made with the options `made` needs no other buffers for `options`: some of its modules
-    rest. Upscaling reads the corrected image, so nothing rests beside it."""
-    different = [name for name in OPTIONS if getattr(options, name) != getattr(made, name)]
-    can_rest = all(OPTIONS[name].rests and getattr(options, name) is False for name in different)
-    return can_rest and not (different and options.upscale)
 
 
 def command_words(options: Options) -> list[str]:

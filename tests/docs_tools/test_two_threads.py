@@ -56,18 +56,6 @@ def test_a_display_thread_that_is_too_slow_still_shows(device):
     assert found["shown"] > 15 and found["lost"] > 10 and found["age"] < 250
 
 
-def test_cheaper_options_while_it_takes_long(device):
-    """Options step down within a few frames, without a reset, and up again afterwards, over a resize as well."""
-    events = two_threads.Events(8, making=0.009, loads=((2, 3.0),), resizes=(4,))
-    stepper = two_threads.gffe.Stepper(15, two_threads.OPTIONS)
-    found, shown = two_threads.simulate(events, device=device, stepper=stepper)
-    assert found["held"] <= 4 and stepper.level == 0
-    moments, refreshes = steps(shown, 2.3, 8)
-    assert np.allclose(refreshes, 1 / 60) and np.allclose(moments, 1 / 60, atol=1e-6)
-    plain, _ = two_threads.simulate(events, device=device)
-    assert plain["shown"] < found["shown"] - 60  # half of the refreshes of three seconds
-
-
 def test_a_thread_that_fails_ends_the_other(device, monkeypatch):
     def fails(*_):
         raise RuntimeError("device lost")
@@ -75,19 +63,3 @@ def test_a_thread_that_fails_ends_the_other(device, monkeypatch):
     monkeypatch.setattr(two_threads.SimulatedRenderer, "frame", fails)
     with pytest.raises(RuntimeError, match="device lost"):
         two_threads.simulate(two_threads.Events(1), device=device)
-
-
-def test_a_module_switched_by_the_viewer_does_not_end_the_program(device, monkeypatch):
-    """Options that do not keep frames are not used, so there is always something to extrapolate from."""
-    submit = two_threads.SimulatedPipeline.submit
-
-    def submitted(pipeline, frame):
-        if frame.time > 1 and pipeline.options.motion:  # as an attached viewer does, between two rendered frames
-            pipeline.change_options(pipeline.options.changed("motion", False))
-        submit(pipeline, frame)
-
-    monkeypatch.setattr(two_threads.SimulatedPipeline, "submit", submitted)
-    stepper = two_threads.gffe.Stepper(15, two_threads.OPTIONS)
-    events = two_threads.Events(4, making=0.009, loads=((2, 1.0),))
-    found, _ = two_threads.simulate(events, rate=15, device=device, stepper=stepper)
-    assert found["shown"] > 150

@@ -128,8 +128,6 @@ def use_all_names():
     assert gffe.OPTIONS["shading_correction"]
     described = gffe.FrameFormat(color_type="float32", color_channels=3, motion_invalid=65504.0)
     gffe.Pipeline(device, W, H, options, format=described).submit(frames[0])
-    assert gffe.choose_options(device, frames, budget_ms=1e5, repeats=1).name == "quality"  # as everything fits
-    assert not gffe.Stepper(1e5, options).took(1.0)  # within the budget: options stay
     pipeline, pacer = gffe.Pipeline(device, W, H, options), gffe.Pacer(60)
     with gffe.attach(pipeline, "used", pacer=pacer):
         for frame in frames:

@@ -25,11 +25,11 @@ from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.handles import adopted_events, marker, wait_for_all
-from gffe_cl.engine.options import Options, is_part_of
+from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.display import Display
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.moment import checked_moment
-from gffe_cl.engine.pipeline.order import board_of, stages_of
+from gffe_cl.engine.pipeline.order import board_of
 from gffe_cl.engine.pipeline.outputs import Outputs
 from gffe_cl.engine.pipeline.rendered_frames import RenderedFrames
 from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
@@ -124,21 +124,14 @@ class Pipeline:
         changed."""
         require_room(self.device, self.sizes, lambda sizes: self._allocate(sizes, options)[1])
         self.board, self._nbytes = self._allocate(self.sizes, options)
-        self._made_with = options
-        self._use(options)
+        self.options = options
+        self.stages: dict[str, Any] = dict(self.board.stages)
+        self._correction: ShadingCorrection | None = self.stages.get(ShadingCorrection.name)
+        self._outputs = Outputs(self.board, self.stages)
         self.frames = RenderedFrames(self.board, self.fps)
         self.display = Display(self.board, self.frames)
         self.intake.begin(self.board)
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
-
-    def _use(self, options: Options) -> None:
-        """Work with the stages that `options` ask for from now on; others on the board rest."""
-        self.options = self.board.options = options
-        self.board.scripts.clear()
-        wanted = {stage.name for stage in stages_of(options)}
-        self.stages: dict[str, Any] = {name: one for name, one in self.board.stages.items() if name in wanted}
-        self._correction: ShadingCorrection | None = self.stages.get(ShadingCorrection.name)
-        self._outputs = Outputs(self.board, self.stages)
 
     @pipeline_call
     def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
@@ -158,8 +151,7 @@ class Pipeline:
     def change_options(self, options: Options) -> None:
         """Work with other options. Requests of `keep` are forgotten; sizes stay; `bad_pixels` and `copied_bytes` go on.
 
-        Where `keeps_frames`, they count from the next frame on, new or rendered, and nothing else changes. Otherwise
-        they count from the next `submit` on, which must come before the next `extrapolate`: buffers are allocated
+        They count from the next `submit` on, which must come before the next `extrapolate`: buffers are allocated
         again, and earlier frames are dropped, as after a reset. History and background fill up again. Frames that were
         returned earlier keep their content.
 
@@ -168,19 +160,9 @@ class Pipeline:
         """
         require_kind(options, Options, "change_options: options", "Options")
         self._finish()
-        if self.keeps_frames(options):
-            self.keep(())
-            self._use(options)
-            return
         before = self.board
         self._begin(options)
         before.let_go()
-
-    def keeps_frames(self, options: Options) -> bool:
-        """Return whether `change_options` with these neither allocates nor drops anything: they only switch off shading
-        correction, hidden parts or reappearing parts, with which the pipeline was made, or on again, and do not
-        upscale. Raises GffeError for anything but `Options`."""
-        return is_part_of(require_kind(options, Options, "keeps_frames: options", "Options"), self._made_with)
 
     def _footprint(self) -> str:
         return footprint(self.device, self.sizes, getattr(self, "_nbytes", None))
@@ -283,7 +265,7 @@ class Pipeline:
 
     def _take_rendered(self) -> cl.Event | None:
         """Enqueue the stages' work on the current frame. Returns the event of `Board.perform`."""
-        return self.board.perform(self.frames.step(), self.board.stages.values(), ())  # those that rest, too, for later
+        return self.board.perform(self.frames.step(), self.stages.values(), ())
 
     def _decide_cut(self) -> None:
         """Decide whether the current frame is a cut, and work on it again as on a reset if it is."""
@@ -475,6 +457,6 @@ class Pipeline:
         self.device.queue.finish()
         taken, correction = milliseconds_of(self.board.commands.take_events()), self._correction
         others = filter(None, (self.display.presentation, self.intake.composition))
-        names = [*self.board.stages, *(stage.name for stage in others)]
+        names = [*self.stages, *(stage.name for stage in others)]
         network = correction.take_network_milliseconds() if correction else {}
         return {name: taken.get(name, {}) for name in names} | {name: {name: ms} for name, ms in network.items()}

@@ -39,9 +39,7 @@ class RenderedFrames:
     def needed(self) -> DeviceFrame:
         """The current frame. Raises GffeError if there is none yet."""
         if self.current is None:
-            raise GffeError(
-                "pipeline: submit a rendered frame first (also after `change_options`, unless `keeps_frames` is true)"
-            )
+            raise GffeError("pipeline: submit a rendered frame first (also after `change_options`)")
         return self.current
 
     def require_later(self, time: float) -> None:

@@ -11,7 +11,7 @@ import statistics
 import time
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pyopencl as cl
@@ -21,12 +21,13 @@ from gffe_cl.engine.frame.window import WindowChooser, fixed_window
 from gffe_cl.engine.inference.network import reason
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import build
-from gffe_cl.engine.options import Options
+from gffe_cl.engine.options import PRESETS, Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board, read_some_rows
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.memory_budget import NoRoomError
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.timing import parts as tables
 from gffe_cl.engine.timing.footage import FrameLoop, Turn
@@ -66,7 +67,8 @@ _WINDOW = 1.2  # times the display, for presentation
 @dataclass
 class SizeBench:
     """Medians for one size: `milliseconds` and `bytes_per_pixel` by part, for one rendered frame with one
-    extrapolated frame. `wall`: milliseconds from submitting the rendered frame to receiving the extrapolated one.
+    extrapolated frame. `wall`: milliseconds from submitting the rendered frame to receiving the extrapolated one;
+    `presets`: the same with each preset, None where its buffers need more memory than the device has.
     "GAE": sum of its stages by kernel events. "SCN": shading correction, where it is on: kernels by their events,
     network and transfers by wall time. "misc": the adaptive window, in none of the others: its choice on the host
     and the presentation of the display part."""
@@ -76,6 +78,7 @@ class SizeBench:
     milliseconds: dict[str, float]
     bytes_per_pixel: dict[str, float]
     wall: float
+    presets: dict[str, float | None]
     bandwidth: float  # GB/s, read and written
     memory: int  # bytes of device memory: the pipeline's buffers and two rendered frames, motion of one only
     memory_gae: int  # without shading correction
@@ -159,7 +162,7 @@ def bench_size(
     bandwidth = statistics.median(samples.bandwidths)
     milliseconds = samples.medians()
     pixels = loop.width * loop.height
-    by_stage = tables.memory(pipeline)
+    by_stage, allocated = tables.memory(pipeline), device.allocated - before
     network = getattr(pipeline.stages.get(ShadingCorrection.name), "network", None)
     frames = KEPT_BYTES_PER_PIXEL * math.prod(loop.render_size or (loop.width, loop.height))
     return SizeBench(
@@ -168,8 +171,9 @@ def bench_size(
         milliseconds,
         bytes_per_pixel={name: ms * 1e6 * bandwidth / pixels for name, ms in milliseconds.items()},
         wall=statistics.median(samples.walls),
+        presets=_preset_times(device, loop, options, repeats),
         bandwidth=bandwidth,
-        memory=device.allocated - before + frames,
+        memory=allocated + frames,
         memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if tables.group(name) == "GAE"),
         memory_by_stage=by_stage,
         kernels={name: statistics.median(taken) for name, taken in samples.kernels.items()},
@@ -178,6 +182,27 @@ def bench_size(
         reason=reason(network, options.scn_provider, device.info.kind == "gpu") if network else "",
         remark=network.remark if network else "",
     )
+
+
+def _preset_times(device: Device, loop: FrameLoop, options: Options, repeats: int) -> dict[str, float | None]:
+    """Return the median milliseconds of `repeats` pairs with each preset, which keeps all options that no preset sets;
+    None where there is too little memory."""
+    usual = {name: getattr(Options(), name) for preset in PRESETS.values() for name in preset.values}
+    usual["shading_correction"] = options.shading_correction
+    times: dict[str, float | None] = {}
+    for name, preset in PRESETS.items():
+        made = replace(options, **usual | preset.values)
+        try:
+            pipeline = Pipeline(device, loop.width, loop.height, made, render_size=loop.render_size)
+        except NoRoomError:
+            times[name] = None
+            continue
+        pipeline.exposure, samples = loop.exposure, _Samples()
+        for turn in loop.turns(repeats):
+            device.queue.finish()
+            _timed_pair(pipeline, loop, turn, samples)
+        times[name] = statistics.median(samples.walls)
+    return times
 
 
 def growth(results: list[SizeBench]) -> float | None:

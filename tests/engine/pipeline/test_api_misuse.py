@@ -53,8 +53,8 @@ WRONG = (
 # they are used; what is made by others only.
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",
-    "Pipeline.keep", "Pipeline.keeps_frames", "Pipeline.change_options", "attach", "present",
-    "Device.buffer", "Device.empty", "Device.from_context", "sharing_support", "choose_options",
+    "Pipeline.keep", "Pipeline.change_options", "attach", "present",
+    "Device.buffer", "Device.empty", "Device.from_context", "sharing_support",
 }  # fmt: skip
 WITH_A_FAKE_DRIVER = {
     "MemorySharing", "MemorySharing.acquire", "MemorySharing.release", "MemorySharing.buffer",
@@ -156,8 +156,6 @@ def host_calls():
         "Pacer.rendered": Call(lambda **given: gffe_cl.Pacer(60).rendered(**given), {"time": 0.0, "reset": False}),
         "Pacer.plan": Call(lambda now: paced().plan(now), {"now": 0.2}),
         "Pacer.ready": Call(lambda now: paced(planned=True).ready(now), {"now": 0.2}),
-        "Stepper": Call(gffe_cl.Stepper, {"budget_ms": 4.0, "options": Options(), "below": [Options()]}),
-        "Stepper.took": Call(gffe_cl.Stepper(4).took, {"milliseconds": 5.0}),
         "predict_camera": Call(gffe_cl.predict_camera, {"previous": TURNED, "current": CAMERA, "alpha": 0.5}),
         "predict_camera_at": Call(
             gffe_cl.predict_camera_at,
@@ -359,7 +357,6 @@ def device_calls(pipeline, frame):
             {"depth": geometry[0], "motion": geometry[1]},
         ),
         "Pipeline.keep": Call(pipeline.keep, {"names": ["warp.color"]}),
-        "Pipeline.keeps_frames": Call(other.keeps_frames, {"options": other.options}),
         "Pipeline.change_options": Call(other.change_options, {"options": other.options}),
         "attach": Call(
             lambda **given: gffe_cl.attach(**given).close(), {"pipeline": other, "name": "misuse", "pacer": None}
@@ -370,13 +367,6 @@ def device_calls(pipeline, frame):
         "present": Call(gffe_cl.present, through),
         "ExtrapolatedFrame.mapped": Call(lambda **given: made.mapped(**given).__enter__(), {"name": "gae"}),
         "Device.buffer": Call(device.buffer, {"nbytes": 16, "mapped": False}),
-        "choose_options": Call(
-            gffe_cl.choose_options,
-            {
-                **{"device": device, "frames": [replace(frame, time=k / 30) for k in range(3)], "budget_ms": 1e5},
-                **{"options": other.options, "repeats": 1, "size": (W, H)},
-            },
-        ),
         "sharing_support": Call(gffe_cl.sharing_support, {"device": device}),
         "Device.empty": Call(device.empty, {"shape": (3, 4), "dtype": np.float32}),
         "Device.from_context": Call(type(device).from_context, {"context": device.context, "queue": device.queue}),
