@@ -68,7 +68,7 @@ $(VENV)/.installed: pyproject.toml setup.py constraints.txt Makefile
 
 $(VENV)/.installed-for-tests: $(VENV)/.installed
 	@echo "packages of the tests, PyTorch among them: 1.5 GB on disk, 1 to 4 minutes"
-	@$(PIP) --editable '.[test,train,opencv,spring]' $(QUIETLY)
+	@$(PIP) --editable '.[test,train,opencv]' $(QUIETLY)
 	@touch $@
 
 $(VENV)/.installed-for-examples: $(VENV)/.installed-for-tests

@@ -1,9 +1,10 @@
 """Removed names of the API, of commands and of options, each with a sentence that says what to use instead.
 
-Names of the API stand alone, commands and their options as they were typed: "gffe calibrate", "gffe bench --budget".
+Names of the API stand alone, commands and their options as they were typed: "gffe bench", "gffe bench --budget".
 """
 
 GONE: dict[str, str] = {
+    "gffe calibrate": "write the cameras with the capture, or find them by cv2.solvePnP (docs/formats.md).",
     "GlSharing": "import memory of Vulkan by MemorySharing, or pass NumPy arrays to submit.",
     "gffe check --html": "`--json FILE` has all findings and residuals.",
     "Stepper": "choose a preset (gffe bench prints what each costs); Pipeline.change_options works with other options.",

@@ -37,7 +37,7 @@ FLOORS = {
     ),
     "captures": (
         ("sequence", "video", "report_style"),
-        ("formats", "scenes", "calibration"),
+        ("formats", "scenes"),
         ("offline", "doctor"),
     ),
     "lab": (

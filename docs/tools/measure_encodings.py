@@ -20,7 +20,7 @@ from pathlib import Path
 import numpy as np
 from pages import MEASURED, table, write_tables
 
-from gffe_cl.captures.formats.motion_conversion import static_motion
+from gffe_cl.captures.formats.flow import static_motion
 from gffe_cl.captures.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
 from gffe_cl.engine.frame.camera import Camera

@@ -11,7 +11,6 @@ import typer
 from gffe_cl import __version__
 from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order of `gffe --help`
     bench,
-    calibrate,
     check,
     compare,
     demo,

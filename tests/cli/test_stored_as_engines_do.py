@@ -301,27 +301,6 @@ def test_check(made, name, tmp_path):
 
 
 @representatives
-def test_calibrate(made, name, tmp_path, capsys):
-    """Cameras are recovered from converted depth and motion; files stay as they are."""
-    given, out = open_sequence(made.sequence(name)), tmp_path / "out"
-    view = 2 * np.degrees(np.arctan(W / 2 / given.rendered[0].render_camera.fx))
-    code = call("calibrate", given.path, out, "--fov", view)
-    if given.format and given.format.camera_motion != "included":
-        assert (
-            code == 2 and f"camera_motion is {given.format.camera_motion} (expected included" in capsys.readouterr().err
-        )
-        return
-    assert code == 0
-    assert [keys_of(folder)[:2] for folder in (given.path, out)] == [keys_of(given.path)[:2]] * 2
-    found = open_sequence(out)
-    start = np.linalg.inv(given.rendered[0].render_camera.world_to_view)
-    for before, entry in zip(given.rendered, found.rendered, strict=True):
-        assert (out / entry.file).read_bytes() == (given.path / entry.file).read_bytes()
-        off = entry.render_camera.world_to_view - before.render_camera.world_to_view @ start
-        assert np.abs(off).max() < (0.25 if INPUTS[name].encoding else 0.02)  # vectors may be rounded to pixels
-
-
-@representatives
 def test_export(made, name, tmp_path):
     """Frames for the exported program are in our conventions."""
     given = open_sequence(made.sequence(name))

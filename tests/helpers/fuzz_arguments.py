@@ -23,7 +23,6 @@ QUICK = {
     "compare": ("{sequence}", "{sequence}"),
     "check": ("{sequence}",),
     "import": ("{sequence}", "{out}"),
-    "calibrate": ("{sequence}", "{out}"),
     "export": ("{out}",),
     "eval": ("{folder}", "--out", "{out}", "--methods", "repeat"),
     "bench": ("{folder}", "--sizes", "32x32"),

@@ -16,12 +16,11 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 from foreign import Shot, write_blender
-from foreign_sets import write_sintel, write_spring, write_tartanair, write_unreal
+from foreign_sets import write_unreal
 from PIL import Image
 
 from gffe_cl import Camera, GffeError, Pipeline, attach, open_capture, open_device
@@ -83,13 +82,13 @@ def write_folder(folder):
         color = np.clip(frame.color.astype(np.float32) * 255, 0, 255).astype(np.uint8)
         Image.fromarray(color).save(folder / f"color_{k}.png")
         np.save(folder / f"depth_{k}.npy", frame.depth)
-        np.savez(folder / f"motion_{k}.npz", motion=frame.motion)
+        np.save(folder / f"motion_{k}.npy", frame.motion)
         fx, fy, cx, cy = frame.camera.intrinsics
         cameras.append({"view": frame.camera.world_to_view.tolist(), "fx": fx, "fy": fy, "cx": cx, "cy": cy})
     document = {
         **{"format": "gffe-folder", "version": 1, "width": W, "height": H, "fps": FPS},
         **{"frames": {"first": 0, "count": COUNT}, "color": {"file": "color_%d.png"}},
-        **{"depth": {"file": "depth_%d.npy"}, "motion": {"file": "motion_%d.npz"}, "camera": {"list": cameras}},
+        **{"depth": {"file": "depth_%d.npy"}, "motion": {"file": "motion_%d.npy"}, "camera": {"list": cameras}},
     }
     (folder / "sequence.json").write_text(json.dumps(document))
     return folder
@@ -101,23 +100,14 @@ WRITERS = {
     "folder": write_folder,
     "blender": lambda folder: write_blender(folder, shots(), multi_part=False, data="ViewLayer"),
     "unreal": lambda folder: write_unreal(folder, shots()) and folder,
-    "sintel": lambda folder: write_sintel(folder, shots()),
-    "tartanair": lambda folder: write_tartanair(folder, shots()) and folder,
-    **({"spring": lambda folder: write_spring(folder, shots()) or folder} if find_spec("h5py") else {}),
 }
 # Which file of each form is mutated, below the folder that the writer gets.
 FILES = {
     "sequence": ("sequence.json", "frame_1.exr"),
     "encoded": ("sequence.json", "frame_1.exr"),
-    "folder": ("sequence.json", "color_1.png", "depth_1.npy", "motion_1.npz"),
+    "folder": ("sequence.json", "color_1.png", "depth_1.npy"),
     "blender": ("cameras.json", "frame_0001.exr"),
     "unreal": ("Shot.0018.exr",),
-    "sintel": (
-        "depth/alley_1/frame_0001.dpt", "flow/alley_1/frame_0001.flo", "camdata_left/alley_1/frame_0001.cam",
-        "final/alley_1/frame_0001.png",
-    ),
-    "tartanair": ("pose_left.txt", "depth_left/000001_left_depth.npy"),
-    **({"spring": ("disp1_left/disp1_left_0002.dsp5",)} if find_spec("h5py") else {}),
 }  # fmt: skip
 
 
@@ -350,7 +340,7 @@ def read_attributes(form, file, numbers):
             path.write_bytes(data if rng_of(numbers).integers(2) else (root / path.relative_to(copied)).read_bytes())
         opened = open_capture(copied / inside)
         opened.warnings()
-        with SequenceWriter(Path(temporary) / "out", W, H, FPS, attributes=opened.attributes) as writer:
+        with SequenceWriter(Path(temporary) / "out", W, H, FPS) as writer:
             for entry in opened.rendered:
                 frame = opened.read(entry)
                 named = FrameEntry(f"{len(entry.file)}.exr", entry.time, render_camera=frame.camera)
@@ -421,7 +411,7 @@ def targets():
 
                 found[f"{form}:attributes"] = Target(b"seed", further, drawn=True)
             found[f"{form}:{Path(file).name}"] = Target(data, read, file.endswith(".json"))
-        if form in ("unreal", "sintel", "tartanair", "spring"):
+        if form == "unreal":
             found[f"{form}:numbering"] = Target(
                 b"seed", lambda numbers, form=form: read_numbering(form, numbers), drawn=True
             )

@@ -22,7 +22,7 @@ import numpy as np
 import gffe_cl
 
 ENGINE = {"numpy", "platformdirs", "pyopencl", "pytools", "siphash24", "typing_extensions"}  # and what these need
-OPTIONAL = {"cv2", "h5py", "onnx", "torch"}  # modules that extras bring
+OPTIONAL = {"cv2", "onnx", "torch"}  # modules that extras bring
 ATTACHED_PROGRAM = Path(__file__).parents[1] / "viewer" / "attached_program.py"
 GFFE = Path(sys.prefix) / "bin" / "gffe"
 XVFB = ("xvfb-run", "-a", "-s", "-screen 0 1920x1200x24")
@@ -44,7 +44,6 @@ formats
 {QUICK.strip()}
 {RENDERED.strip()}
 check rendered
-calibrate rendered calibrated --fov 60
 import rendered imported
 bench rendered --repeats 2 --device {{device}}
 eval rendered --methods gffe,baseline --out report

@@ -294,7 +294,7 @@ def write_repaired(sequence: Sequence, diagnosis: Diagnosis, output: Path, on_fr
     refuse_same_folder(output, sequence.path)
     repair = Repair(sequence, diagnosis)
     size = sequence.width, sequence.height
-    named = {"generator": "gffe-cl check", "attributes": sequence.attributes}
+    named = {"generator": "gffe-cl check"}
     with SequenceWriter(output, *size, sequence.fps, sequence.exposure, **named) as writer:
         count = len(sequence.ground_truth)
         for entry, frame in repair.frames():

@@ -20,7 +20,6 @@ from gffe_cl.captures.formats.numbering import mark_gaps
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
 from gffe_cl.captures.sequence.exr import decoded, require_parts
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
-from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.pixel_source import COLOR, ForeignPixels, stack_color
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -56,14 +55,10 @@ def open_blender(folder: Path) -> Sequence:
     """Open the capture in `folder` and return it: JSON and the headers of all files are checked. Raises GffeError."""
     description, gaps = _parse(read_json(folder / FILE_NAME))
     size = (description.width, description.height)
-    pixels, remarks = BlenderPixels(folder), Remarks(description.fps)
+    pixels = BlenderPixels(folder)
     for entry in description.frames:
         header = read_header(folder / entry.place, entry.file)
         passes = _passes(header, entry)
-        if entry.kind == "rendered":
-            pixels.attributes = pixels.attributes or carried(header.parts[passes.color[0][0]])
-            exact = [place for places in (passes.depth, passes.vector) for place in places or ()]
-            remarks.add(header, entry.file, exact)
         parts = {part for places in filter(None, passes) for part, _ in places}
         require_parts(header, parts, None, entry.file)
         windows = {header.parts[part].data_window for part in parts}
@@ -73,7 +68,6 @@ def open_blender(folder: Path) -> Sequence:
         if entry.kind != "rendered":
             entry.render_size = None
     pixels.notes += [f"{folder}: {gaps}"] if gaps else []
-    pixels.notes += remarks.sentences
     return Sequence(folder, description, pixels)
 
 

@@ -40,7 +40,6 @@ class Buffer:
 
     pattern: str  # path of its files, with %d or %04d for the frame's number
     channels: tuple[str, ...]
-    array: str | None
     packing: str
     normalized: bool  # integers are 0 … 1
     bottom_up: bool
@@ -60,7 +59,7 @@ class Buffer:
     def check(self, folder: Path, number: int, size: Size) -> tuple[ExrHeader, list[Place]] | None:
         """Check the file by its headers, and return that of an EXR file with the places of the channels. Raises
         GffeError if it cannot be read."""
-        return check_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
+        return check_planes(self.path(folder, number), self._planes, self.file(number), size)
 
     @property
     def _planes(self) -> tuple[str, ...]:
@@ -69,7 +68,7 @@ class Buffer:
     def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
         """Return (H, W, components) float64, or float16 and float32 where the file stores these unchanged; NaN where
         nothing was written."""
-        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size, self.array)
+        planes = read_planes(self.path(folder, number), self._planes, self.file(number), size)
         if self.bottom_up:
             planes = planes[::-1]
         unwritten = None
@@ -131,7 +130,6 @@ def parse_buffer(keys: Keys, default: tuple[str, ...], unwritten: bool = False) 
     return Buffer(
         elsewhere or name_on_disk,
         tuple(channels),
-        keys.text("array"),
         packing,
         normalized,
         keys.choice("origin", ("top-left", "bottom-left"), "top-left") == "bottom-left",

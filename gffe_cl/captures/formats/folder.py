@@ -1,4 +1,4 @@
-"""Reader of folders of EXR, PNG, NPY or NPZ images that a short `sequence.json` of `"format": "gffe-folder"` describes.
+"""Reader of folders of EXR, PNG or NPY images that a short `sequence.json` of `"format": "gffe-folder"` describes.
 
 The schema is in docs/formats.md.
 """
@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -25,13 +25,11 @@ from gffe_cl.captures.formats.buffers import (
 )
 from gffe_cl.captures.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
 from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json
-from gffe_cl.captures.formats.images import Size, header_attributes
+from gffe_cl.captures.formats.flow import inverted_flow
+from gffe_cl.captures.formats.images import Size
 from gffe_cl.captures.formats.json_schema import Keys
-from gffe_cl.captures.formats.motion_conversion import inverted_flow
 from gffe_cl.captures.formats.numbering import mark_gaps
-from gffe_cl.captures.formats.png import read_png_colors
 from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry
-from gffe_cl.captures.sequence.header_attributes import Remarks
 from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -91,46 +89,15 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     """Open the capture in `folder` and return it: the JSON and the headers of all images are checked. With `cameras`
     "optional" none need be described. Raises GffeError."""
     made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
-    notes = _settle_colors(folder, made)
-    remarks = Remarks(description.fps)
-
-    def check(buffer: Buffer, frame: _Frame, is_exact: bool) -> None:
-        if found := buffer.check(folder, frame.number, made.size):
-            header, places = found
-            remarks.add(header, buffer.file(frame.number), places if is_exact else ())
-
     for frame in made.frames.values():
         if frame.entry.kind == "ground_truth":
             made.truth.buffer.check(folder, frame.number, made.size)
             continue
-        check(made.color.buffer, frame, False)
-        check(made.depth.buffer, frame, True)
+        made.color.buffer.check(folder, frame.number, made.size)
+        made.depth.buffer.check(folder, frame.number, made.size)
         if frame.before:
-            check(made.motion.buffer, frame.before if made.motion.to_next else frame, True)
-    pixels = FolderPixels(folder, made)
-    pixels.notes += notes + remarks.sentences
-    if rendered := [frame for frame in made.frames.values() if frame.entry.kind == "rendered"]:
-        color = made.color.buffer
-        pixels.attributes = header_attributes(color.path(folder, rendered[0].number), color.channels)
-    return Sequence(folder, description, pixels)
-
-
-def _settle_colors(folder: Path, made: FolderSettings) -> list[str]:
-    """Take the encoding of colors from the headers of PNG files where the description has none. Return sentences on
-    that, and on headers that contradict the description."""
-    notes = []
-    for kind, name in (("rendered", "color"), ("ground_truth", "truth")):
-        frame = next((one for one in made.frames.values() if one.entry.kind == kind), None)
-        if frame is None:
-            continue
-        one: ColorBuffer = getattr(made, name)
-        file, found = one.buffer.file(frame.number), read_png_colors(one.buffer.path(folder, frame.number))
-        if found.transfer and not one.told and found.contradicts("linear", 1.0):
-            setattr(made, name, replace(one, encoding=found.transfer, gamma=found.gamma))
-            notes.append(f'{file}: the header says {found.words}, which is used ("encoding" would be used instead)')
-        elif found.profile or (one.told and found.contradicts(one.encoding, one.gamma)):
-            notes.append(f"{file}: the header says {found.words}; colors are read as {one.encoding}, as described")
-    return notes
+            made.motion.buffer.check(folder, (frame.before if made.motion.to_next else frame).number, made.size)
+    return Sequence(folder, description, FolderPixels(folder, made))
 
 
 class FolderPixels(ForeignPixels):

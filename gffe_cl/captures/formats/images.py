@@ -1,79 +1,61 @@
-"""Reader of images in foreign captures: EXR, PNG, NPY and NPZ, recognized by their first bytes. Sizes are checked
+"""Reader of images in foreign captures: EXR, PNG and NPY, recognized by their first bytes. Sizes are checked
 before decoding."""
 
 from __future__ import annotations
 
 import io
 import math
-import zipfile
+import struct
 from collections.abc import Sequence as Ordered
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
+from PIL import Image
 
 from gffe_cl.captures.formats.layers import Place, layers_of
-from gffe_cl.captures.formats.png import MAGIC as PNG_MAGIC
-from gffe_cl.captures.formats.png import read_png, read_png_colors, read_png_header
 from gffe_cl.captures.sequence.exr import decoded, place_of, require_parts
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
-from gffe_cl.captures.sequence.header_attributes import carried
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import open_regular, require_moderate
 
 Size = tuple[int, int]
-_EXR_MAGIC, _NPY_MAGIC, _ZIP_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"PK\x03\x04"
+_EXR_MAGIC, _NPY_MAGIC, _PNG_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"\x89PNG\r\n\x1a\n"
+_PNG_HEADER, _PNG_CHANNELS = 26, {0: "Y", 2: "RGB", 3: "RGBA", 4: "YA", 6: "RGBA"}
 _RGBA = {"R": 0, "G": 1, "B": 2, "A": 3}
 _MOST_HEADER = 1 << 16
 
 
-def read_planes(path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None) -> np.ndarray:
-    """Return the channels `names` of the image at `path` as (H, W, C), in the type stored; `array` is the one of an NPZ
-    file.
+def read_planes(path: Path, names: Ordered[str], label: str, size: Size) -> np.ndarray:
+    """Return the channels `names` of the image at `path` as (H, W, C), in the type stored.
 
     Channels of PNG are R, G, B, A (gray is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first four.
     Raises a GffeError that begins with `label` for a missing file or channel, another size than `size`, and damage.
     """
-    return _read(path, names, label, size, array, decode=True)
+    return _read(path, names, label, size, decode=True)
 
 
-def check_planes(
-    path: Path, names: Ordered[str], label: str, size: Size, array: str | None = None
-) -> tuple[ExrHeader, list[Place]] | None:
+def check_planes(path: Path, names: Ordered[str], label: str, size: Size) -> tuple[ExrHeader, list[Place]] | None:
     """Check an image as `read_planes` does, by headers only: no pixel is decoded. Return the header of an EXR file and
     the places of the channels in it; None for other files."""
-    return _read(path, names, label, size, array, decode=False)
+    return _read(path, names, label, size, decode=False)
 
 
-def header_attributes(path: Path, names: Ordered[str]) -> dict[str, Any]:
-    """Return attributes of the color channels `names` in a file that new frames get as well; also the primaries of PNG
-    files."""
-    with open_regular(path) as file:
-        is_exr = file.read(8).startswith(_EXR_MAGIC)
-    if is_exr:
-        header = read_header(path, path.name)
-        return carried(header.parts[_places(header, names, path.name)[0][0]])
-    primaries = read_png_colors(path).chromaticities
-    return {"chromaticities": primaries} if primaries else {}
-
-
-def _read(path, names, label, size, array, decode) -> Any:
+def _read(path, names, label, size, decode) -> Any:
     try:
         with open_regular(path) as file:
             start = file.read(8)
         if start.startswith(_EXR_MAGIC):
             return _exr(path, names, label, size, decode)
-        if start == PNG_MAGIC:
+        if start == _PNG_MAGIC:
             return _png(path, names, label, size, decode)
         if start.startswith(_NPY_MAGIC):
             return _npy(path, names, label, size, decode)
-        if start.startswith(_ZIP_MAGIC):
-            return _npz(path, names, label, size, array, decode)
     except FileNotFoundError:
         raise GffeError(f"{label}: no such file in {path.parent}") from None
     except OSError as error:
         raise GffeError(f"{label}: cannot be read ({error.strerror or error})") from None
-    raise GffeError(f"{label}: not an EXR, PNG, NPY or NPZ file")
+    raise GffeError(f"{label}: not an EXR, PNG or NPY file")
 
 
 def _exr(path, names, label, size, decode):
@@ -99,41 +81,58 @@ def _places(header: ExrHeader, names, label) -> list[Place]:
 
 
 def _png(path, names, label, size, decode):
-    header = read_png_header(path, label)
-    _require_size((header.width, header.height), size, label)
-    order = []
-    for name in names:
-        gray = header.channels[0] == "Y" and name in ("R", "G", "B")
-        if not gray and name not in header.channels:
-            raise _no_channel(name, header.channels, label)
-        order.append(0 if gray else header.channels.index(name))
-    require_moderate(header.width * header.height * len(header.channels) * 2, math.prod(size), label)
-    return read_png(path, header, label)[..., order] if decode else None
+    with open_regular(path) as file:
+        data = file.read(_PNG_HEADER)
+        width, height, bits, held = _png_header(data, label)
+        _require_size((width, height), size, label)
+        order = []
+        for name in names:
+            gray = held[0] == "Y" and name in ("R", "G", "B")
+            if not gray and name not in held:
+                raise _no_channel(name, held, label)
+            order.append(0 if gray else held.index(name))
+        require_moderate(width * height * len(held) * 2, math.prod(size), label)
+        if not decode:
+            return None
+        data += file.read()
+    by_opencv = bits == 16 and held != "Y"  # Pillow keeps 8 of 16 bits in color
+    if by_opencv:
+        require_packages(f"{label}: a PNG of 16 bits", "opencv", "cv2")
+    try:
+        return (_by_opencv if by_opencv else _by_pillow)(data, held, bits)[..., order]
+    except Exception as error:  # whatever the decoder meets in a damaged file
+        reason = " ".join(str(error).split())[:200] or type(error).__name__
+        raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({reason})") from None
+
+
+def _png_header(data: bytes, label: str) -> tuple[int, int, int, str]:
+    """Return width, height, bits and channels from the first bytes of a PNG (https://www.w3.org/TR/png-3/)."""
+    if len(data) == _PNG_HEADER and data[12:16] == b"IHDR":
+        width, height, bits, kind = struct.unpack(">IIBB", data[16:])
+        if kind in _PNG_CHANNELS and bits in (1, 2, 4, 8, 16) and width and height:
+            return width, height, bits, _PNG_CHANNELS[kind]
+    raise GffeError(f"{label}: damaged PNG header")
+
+
+def _by_pillow(data: bytes, held: str, bits: int) -> np.ndarray:
+    with Image.open(io.BytesIO(data), formats=["PNG"]) as image:
+        if bits == 16:
+            return np.asarray(image).astype(np.uint16)[..., None]
+        return np.atleast_3d(np.asarray(image.convert(held.replace("Y", "L"))))
+
+
+def _by_opencv(data: bytes, held: str, bits: int) -> np.ndarray:
+    import cv2
+
+    found = cv2.imdecode(np.frombuffer(data, np.uint8), cv2.IMREAD_UNCHANGED)
+    if found is None or found.dtype != np.uint16:
+        raise ValueError("not decoded")
+    return found[..., {"YA": [0, -1], "RGB": [2, 1, 0], "RGBA": [2, 1, 0, 3]}[held]]
 
 
 def _npy(path, names, label, size, decode):
     with open_regular(path) as file:
         return _array(file, names, label, size, decode)
-
-
-def _npz(path, names, label, size, array, decode):
-    try:
-        with open_regular(path) as file, zipfile.ZipFile(file) as archive:
-            held = [name.removesuffix(".npy") for name in archive.namelist() if name.endswith(".npy")]
-            if array is None and len(held) == 1:
-                array = held[0]
-            if array not in held:
-                listed = ", ".join(held[:12]) + (", …" if len(held) > 12 else "")
-                raise GffeError(
-                    f"{label}: no array '{array}' (expected \"array\" to name one; the file holds {listed})"
-                )
-            with archive.open(f"{array}.npy") as member:
-                return _array(member, names, f"{label}, {array}", size, decode)
-    except (GffeError, OSError):
-        raise
-    except Exception as error:  # whatever the decoders of its compressions meet
-        reason = " ".join(str(error).split()) or type(error).__name__
-        raise GffeError(f"{label}: damaged NPZ file ({reason})") from None
 
 
 def _array(file: IO[bytes], names, label, size, decode):

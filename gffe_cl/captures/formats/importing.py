@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.captures.formats.motion_conversion import composed
+from gffe_cl.captures.formats.flow import composed
 from gffe_cl.captures.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, refuse_same_folder
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
 from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION
@@ -63,7 +63,7 @@ def import_capture(
     fps, size = sequence.fps / every, (sequence.width, sequence.height)
     writing = SequenceWriter(
         output, *size, fps, sequence.exposure, generator="gffe-cl import", compression=compression,
-        attributes=sequence.attributes, format=sequence.format if every == 1 and encoding == EXACT else encoding.format,
+        format=sequence.format if every == 1 and encoding == EXACT else encoding.format,
     )  # fmt: skip
     with writing as writer:
         for entry, frame, stays in _thinned(sequence, every, encoding):

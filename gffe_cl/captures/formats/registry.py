@@ -7,7 +7,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import Path
 
-from gffe_cl.captures.formats import blender, datasets, folder, unreal
+from gffe_cl.captures.formats import blender, folder, unreal
 from gffe_cl.captures.sequence.description import FILE_NAME
 from gffe_cl.captures.sequence.output_folder import why_unfinished
 from gffe_cl.captures.sequence.reader import CAMERAS, Sequence, open_sequence
@@ -40,7 +40,7 @@ FORMATS = {
         ),
         Format(
             "gffe-folder",
-            "Images of any convention, EXR, PNG, NPY or NPZ, which a short sequence.json describes (docs/formats.md)",
+            "Images of any convention, EXR, PNG or NPY, which a short sequence.json describes (docs/formats.md)",
             'sequence.json: {"format": "gffe-folder", …}\ncolor/0000.png …\ndepth/0000.exr …\nmotion/0000.npy …',
             lambda folder: False,
             folder.open_folder,
@@ -58,30 +58,6 @@ FORMATS = {
             "Shot.0000.exr\nShot.0001.exr …",
             unreal.is_unreal,
             unreal.open_unreal,
-        ),
-        Format(
-            "sintel",
-            "MPI Sintel: a scene's folder of colors, with folders flow, depth and camdata_left next to its parent",
-            "training/final/alley_1/frame_0001.png …\ntraining/flow/alley_1/frame_0001.flo …\n"
-            "training/depth/alley_1/frame_0001.dpt …\ntraining/camdata_left/alley_1/frame_0001.cam …",
-            datasets.is_sintel,
-            datasets.open_sintel,
-        ),
-        Format(
-            "spring",
-            "Spring: a scene's folder (needs h5py)",
-            "0001/frame_left/frame_left_0001.png …\n0001/flow_BW_left/flow_BW_left_0002.flo5 …\n"
-            "0001/disp1_left/disp1_left_0001.dsp5 …\n0001/cam_data/intrinsics.txt, extrinsics.txt",
-            datasets.is_spring,
-            datasets.open_spring,
-        ),
-        Format(
-            "tartanair",
-            "TartanAir: a trajectory's folder",
-            "P000/image_left/000000_left.png …\nP000/depth_left/000000_left_depth.npy …\n"
-            "P000/flow/000000_000001_flow.npy …\nP000/pose_left.txt",
-            datasets.is_tartanair,
-            datasets.open_tartanair,
         ),
     )
 }

@@ -6,19 +6,19 @@ depth is planar or along the rays. Reprojecting static surfaces decides.
 
 from __future__ import annotations
 
+import contextlib
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from gffe_cl.captures.formats.capture import MOST_FRAMES, described, shown_part, through_window
+from gffe_cl.captures.formats.flow import static_motion
 from gffe_cl.captures.formats.layers import Place, layers_of
-from gffe_cl.captures.formats.motion_conversion import static_motion
 from gffe_cl.captures.formats.numbering import missing_numbers, number_of, visible_files
 from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.captures.sequence.exr import decoded, require_parts
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, read_header
-from gffe_cl.captures.sequence.header_attributes import Remarks, carried, frame_rate
 from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -57,17 +57,15 @@ def is_unreal(folder: Path) -> bool:
 def open_unreal(folder: Path) -> Sequence:
     """Open the frames in `folder` and return them as a sequence. The headers of all files are checked, and a few frames
     are read to determine the meaning of motion and depth. Raises GffeError."""
-    numbered, entries, pixels, remarks = _numbered(folder), [], UnrealPixels(folder), Remarks()
+    numbered, entries, pixels = _numbered(folder), [], UnrealPixels(folder)
     size = fps = before = None
     for number, file in numbered:
         header = read_header(folder / file, file)
         places = _places(header, file)
-        remarks.add(header, file, places[3:])
         require_parts(header, {part for part, _ in places}, None, file)
         part = header.parts[places[0][0]]
         if size is None:
             size, fps = part.shown_size, _frame_rate(part)
-            pixels.attributes = carried(part)
         time = (number - numbered[0][0]) / (fps or _FPS)
         entry = FrameEntry(file, time, reset=before is None or number != before + 1)
         entry.render_camera = entry.display_camera = _camera(part.attributes, size, file)
@@ -75,7 +73,6 @@ def open_unreal(folder: Path) -> Sequence:
         entries.append(entry)
         before = number
     assert size is not None  # of the first frame
-    pixels.notes += remarks.sentences
     if fps is None:
         pixels.notes.append(f"{folder}: no frame rate in the headers, {_FPS:g} frames per second are assumed")
     if missing := missing_numbers((a, b) for (a, _), (b, _) in zip(numbered, numbered[1:], strict=False)):
@@ -220,6 +217,8 @@ def _number(attributes: dict[str, Any], name: str, file: str) -> float:
 def _frame_rate(part: ExrPart) -> float | None:
     """Return the frame rate of the standard attribute, or of Unreal's; None without either."""
     for name in ("framesPerSecond", "unreal/frameRate", "unreal/framerate"):
-        if rate := frame_rate(part, name):
-            return rate
+        above, _, below = str(part.attributes.get(name, "")).partition("/")
+        with contextlib.suppress(ValueError, ZeroDivisionError):
+            if 0 < (rate := float(above) / float(below or 1)) < 1e6:
+                return rate
     return None

@@ -85,7 +85,7 @@ def run_sequence(
     size = (source.width, source.height)
     writing = SequenceWriter(
         output, *size, source.fps, source.exposure, generator="gffe-cl run", compression=compression,
-        attributes=source.attributes, format=source.format,
+        format=source.format,
     )  # fmt: skip
     frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)

@@ -33,7 +33,7 @@ class Source(Protocol):
     """Source of rendered frames by number, and of what is known about the times between them.
 
     `width`, `height`: of the display, pixels; `render_size`: of the rendered frames; `count`: how many there are;
-    `resets`: numbers of those that are known to be one, in order; `attributes`: of EXR headers, which new frames get;
+    `resets`: numbers of those that are known to be one, in order;
     `format`: the description of stored frames, None where `store` writes them in our conventions.
     """
 
@@ -45,7 +45,6 @@ class Source(Protocol):
     exposure: float
     count: int
     resets: tuple[int, ...] = (0,)
-    attributes: dict[str, Any]
     format: FrameFormat | None = None
 
     def rendered(self, k: int) -> RenderedFrame:
@@ -114,7 +113,7 @@ class Recorded(Source):
     def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
         self.name, self._device, self._upscale = printable(sequence.path.resolve().name), device, upscale
         self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
-        self.exposure, self.attributes = sequence.exposure, sequence.attributes
+        self.exposure = sequence.exposure
         self._window = window
         self._take(sequence)
         if upscale:
@@ -245,7 +244,6 @@ class Live(Source):
         require_frames(count, fps)
         self.scene, self.name, self.exposure, self._device = scene, scene.name, scene.exposure, device
         self.width, self.height, self.count, self.fps = width, height, count, fps
-        self.attributes = {}
         self._way: Any = None  # the arguments of `choose` that frames depend on, a tuple
         self.choose(window, [], upscale)
 

@@ -237,8 +237,6 @@ def _parse_part(cursor) -> ExrPart | None:
                 (part.attributes[name],) = value.unpack(_NUMBERS[form])
             elif form == "rational":
                 part.attributes[name] = "{}/{}".format(*value.unpack("iI"))
-            elif form == "chromaticities":
-                part.attributes[name] = value.unpack("8f")
         except _Short:
             raise ValueError from None
         name = cursor.text()

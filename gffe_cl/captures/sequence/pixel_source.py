@@ -31,11 +31,10 @@ OVERLAY_CHANNELS = {
 
 class Pixels(Protocol):
     """Pixels of frames, by their entries. `size` is (width, height) of the image. All methods raise GffeError that
-    names the file if it is missing or damaged. `notes`: warnings; `attributes`: of EXR headers, which new frames get;
-    `settings`: buffer settings in the capture's description, for formats with an editable description."""
+    names the file if it is missing or damaged. `notes`: warnings; `settings`: buffers of the capture's description, for
+    formats with an editable one."""
 
     notes: list[str]
-    attributes: dict[str, Any]
     settings: Any
 
     def read(
@@ -63,7 +62,7 @@ class OwnPixels:
 
     def __init__(self, folder: Path):
         self._folder = folder
-        self.notes, self.attributes, self.settings = [], {}, None
+        self.notes, self.settings = [], None
 
     def read(self, entry, size):
         path = self._folder / entry.place
@@ -95,7 +94,6 @@ class ForeignPixels:
 
     def __init__(self):
         self.notes: list[str] = []
-        self.attributes: dict[str, Any] = {}
         self.settings: Any = None
 
     def read(self, entry, size):

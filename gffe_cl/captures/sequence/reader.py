@@ -26,7 +26,6 @@ from gffe_cl.captures.sequence.description import (
 )
 from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.captures.sequence.exr_layout import read_header
-from gffe_cl.captures.sequence.header_attributes import Remarks, carried
 from gffe_cl.captures.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.captures.sequence.matching import Timeline
 from gffe_cl.captures.sequence.output_folder import why_unfinished
@@ -144,11 +143,6 @@ class Sequence:
     def settings(self) -> Any:
         """The buffers' part of the capture's description, for formats with an editable one; else None."""
         return self._pixels.settings
-
-    @property
-    def attributes(self) -> dict[str, Any]:
-        """Attributes of EXR headers that frames made of these get as well, such as the colors' primaries."""
-        return dict(self._pixels.attributes)
 
     @property
     def notes(self) -> list[str]:
@@ -278,7 +272,7 @@ def open_sequence(
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing channel or file,
     a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack a camera (then it is None);
-    only calibration accepts such frames. `mend` converts the JSON text before it is used. With `follow_links` the JSON
+    no pipeline accepts such frames. `mend` converts the JSON text before it is used. With `follow_links` the JSON
     may name files outside the folder; by default it may not. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")
@@ -309,7 +303,7 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
     description = parse_description(text, json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
-    pixels, remarks = OwnPixels(folder), Remarks(description.fps)
+    pixels = OwnPixels(folder)
     for index, entry in enumerate(description.frames):
         header = read_header(os.path.join(folder, entry.place), entry.file)
         places = _places(entry, header)
@@ -318,9 +312,6 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
         exr.require_parts(header, {part for part, _ in places}, size, entry.file)
         if entry.kind == "rendered":
             require_whole_overlays(header, entry.file, size == (description.width, description.height))
-            remarks.add(header, entry.file, places[len(COLOR) :])
-            pixels.attributes = pixels.attributes or carried(header.parts[places[0][0]])
-    pixels.notes += remarks.sentences
     return Sequence(folder, description, pixels)
 
 

@@ -10,7 +10,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -41,8 +40,6 @@ from gffe_cl.engine.core.validation import (
     require_positive,
     require_size,
     require_whole,
-    scalar,
-    shown,
 )
 from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
 from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame
@@ -50,11 +47,6 @@ from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame
 _WAITING = 2  # frames, besides those that are being compressed
 _MOST_THREADS = 1024
 _MOST_BYTES = 2 << 30  # of frames under way
-_MOST_NAME = 256  # characters of an attribute's name, with the zero at its end
-_OF_STORAGE = (
-    "channels", "chunkCount", "compression", "dataWindow", "displayWindow", "lineOrder", "maxSamplesPerPixel", "name",
-    "tiles", "type", "version",
-)  # fmt: skip
 
 
 class SequenceWriter:
@@ -73,9 +65,6 @@ class SequenceWriter:
         frames than that are under way.
     generator : str
         Name of the writing program; only an earlier output of the same generator is replaced.
-    attributes : dict or None
-        Further attributes of the EXRs' headers, such as `Sequence.attributes`: texts, numbers (integers of 32 bits) and
-        small arrays of numbers by name.
     format : FrameFormat or None
         Description of depth and motion of the rendered frames, if these are stored as an engine has them.
     compression : str
@@ -101,7 +90,6 @@ class SequenceWriter:
         threads: int | None = None,
         generator: str = GENERATOR,
         compression: str = exr.DEFAULT_COMPRESSION,
-        attributes: dict[str, Any] | None = None,
         format: FrameFormat | None = None,
     ):
         self.path = require_path(path, "writer: path")
@@ -121,7 +109,6 @@ class SequenceWriter:
         )
         self._pool: ThreadPoolExecutor | None = None
         self._kept: str | None = None
-        self._further = {} if attributes is None else _checked_attributes(attributes)
         self._size, self._first = size, None  # of the display; the first rendered frame
 
     def __enter__(self) -> SequenceWriter:
@@ -160,10 +147,7 @@ class SequenceWriter:
         else:
             channels = channels | padded
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
-        attributes, nbytes = (
-            self._further | self._attributes(entry),
-            sum(np.asarray(array).nbytes for array in given.values()),
-        )
+        attributes, nbytes = self._attributes(entry), sum(np.asarray(array).nbytes for array in given.values())
 
         def write(path: Path) -> None:
             stored = {name: exr.stored_type(name, given.pop(name), copy=False) for name in list(given)}
@@ -316,23 +300,6 @@ def named_channels(
             halves = planes.astype(np.float16) if field != "effects_motion" else planes.astype(np.float32)
             channels |= dict(zip(names, halves, strict=True))
     return channels
-
-
-def _checked_attributes(given: dict[str, Any]) -> dict[str, Any]:
-    """Return attributes for headers, with Python's numbers. Raises GffeError unless names are texts that the library
-    takes, and integers fit into 32 bits; it refuses other types itself."""
-    attributes = {}
-    for name, value in require_kind(given, dict, "writer: attributes", "a dict or None").items():
-        if not isinstance(name, str) or not 0 < len(name) < _MOST_NAME or "\0" in name or name in _OF_STORAGE:
-            raise GffeError(
-                f"writer: attributes: names must be texts up to {_MOST_NAME - 1} characters, and not about how pixels"
-                f" are stored, got {shown(name)}"
-            )
-        value = scalar(value)
-        if isinstance(value, int) and not isinstance(value, bool):
-            require_whole(value, f"writer: attribute {shown(name)}", -(2**31), 2**31 - 1)
-        attributes[name] = value
-    return attributes
 
 
 def _undisturbed(work: Callable[[], None]) -> None:

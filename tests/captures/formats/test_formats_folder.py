@@ -13,7 +13,7 @@ from PIL import Image
 from png_files import png
 
 from gffe_cl import Camera, GffeError, open_capture
-from gffe_cl.captures.formats.motion_conversion import static_motion
+from gffe_cl.captures.formats.flow import static_motion
 
 NEAR, FAR = 0.05, 400.0
 DOCS = Path(__file__).parents[3] / "docs"
@@ -180,22 +180,6 @@ def test_motion_of_sixteen_bits_around_the_middle(tmp_path):
     said = {"file": "m%d.png", "values": "raw", "offset": 32768, "scale": 1 / 64}
     edit_json(tmp_path / "sequence.json", lambda d: d.update(motion=said))
     same(open_capture(tmp_path), motion=1 / 128 + 1e-6)
-
-
-def test_motion_in_four_bytes(tmp_path):
-    """Two 16-bit numbers in the bytes of an RGBA image, ½ is nothing, in an array of an NPZ file."""
-
-    def images(folder, number, shot):
-        raw = ((np.float64(shot.motion) / (W, H) / 2 + 0.5) * 65535).round().astype(np.int64)
-        x, y = raw[..., 0], raw[..., 1]
-        packed = np.stack([x >> 8, x & 255, y >> 8, y & 255], -1).astype(np.uint8)
-        np.savez_compressed(folder / f"m{number}.npz", velocity=packed, other=packed[0])
-
-    write(tmp_path, also=images)
-    said = {"file": "m%d.npz", "array": "velocity", "channels": list("RGBA"), "packing": "big-endian"}
-    said |= {"offset": 0.5, "scale": 2, "unit": "uv"}
-    edit_json(tmp_path / "sequence.json", lambda d: d.update(motion=said))
-    same(open_capture(tmp_path), motion=W / 65535 + 1e-6)
 
 
 def test_motion_without_jitter(tmp_path):
@@ -372,7 +356,7 @@ def test_faults(tmp_path, change, words):
 
 
 def test_captures_without_cameras(tmp_path):
-    """Injectors have none: calibration finds them, from buffers that need no camera."""
+    """Injectors have none."""
     write(tmp_path)
     edit_json(tmp_path / "sequence.json", lambda d: d.pop("camera"))
     with pytest.raises(GffeError, match="camera is missing"):
@@ -403,10 +387,8 @@ def write_image(path, channels):
         write_exr(path, {name: image[..., i] for i, name in enumerate(channels)})
     elif path.suffix == ".png":
         Image.fromarray((image * 255).astype(np.uint8), "RGBA" if len(channels) == 4 else "RGB").save(path)
-    elif path.suffix == ".npy":
-        np.save(path, image)
     else:
-        np.savez(path, velocity=image)
+        np.save(path, image)
 
 
 @pytest.mark.parametrize("number", range(len(EXAMPLES)))

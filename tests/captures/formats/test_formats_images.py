@@ -5,7 +5,6 @@ import os
 import struct
 import time
 import tracemalloc
-import zipfile
 import zlib
 
 import numpy as np
@@ -21,12 +20,12 @@ W, H = 23, 17
 RNG = np.random.default_rng(4)
 
 
-@pytest.mark.parametrize("filters", [(0,), (1,), (2,), (3,), (4,), (4, 1, 3, 0, 2)])
 @pytest.mark.parametrize(("channels", "kind"), [("RGB", 2), ("RGBA", 6), ("YA", 4), ("Y", 0)])
-def test_png_of_16_bits(tmp_path, channels, kind, filters):
+def test_png_of_16_bits(tmp_path, channels, kind):
+    pytest.importorskip("cv2", reason="no OpenCV")
     image = RNG.integers(0, 65536, (H, W, len(channels)))
     image[4:9] = image[4:5] // 2 + np.arange(W)[None, :, None]  # something to predict
-    (tmp_path / "a.png").write_bytes(png(image, 16, kind, filters))
+    (tmp_path / "a.png").write_bytes(png(image, 16, kind, (4, 1, 3, 0, 2)))
     found = read_planes(tmp_path / "a.png", channels, "a", (W, H))
     assert found.dtype == np.uint16
     np.testing.assert_array_equal(found, image)
@@ -52,11 +51,9 @@ def test_numpy_files(tmp_path, dtype):
     image = (RNG.normal(size=(H, W, 3)) * 50 + 100).astype(dtype)
     np.save(tmp_path / "a.npy", image)
     np.save(tmp_path / "f.npy", np.asfortranarray(image))
-    np.savez_compressed(tmp_path / "a.npz", image=image, other=image[..., 0] + 1)
-    for path, array in (("a.npy", None), ("f.npy", None), ("a.npz", "image")):
-        np.testing.assert_array_equal(read_planes(tmp_path / path, "RGB", "a", (W, H), array), image)
-        np.testing.assert_array_equal(read_planes(tmp_path / path, "2", "a", (W, H), array), image[..., 2:])
-    np.testing.assert_array_equal(read_planes(tmp_path / "a.npz", "R", "a", (W, H), "other")[..., 0], image[..., 0] + 1)
+    for path in ("a.npy", "f.npy"):
+        np.testing.assert_array_equal(read_planes(tmp_path / path, "RGB", "a", (W, H)), image)
+        np.testing.assert_array_equal(read_planes(tmp_path / path, "2", "a", (W, H)), image[..., 2:])
 
 
 def test_exr_layers(tmp_path):
@@ -68,14 +65,14 @@ def test_exr_layers(tmp_path):
     np.testing.assert_array_equal(read_planes(tmp_path / "one.exr", ["R"], "a", (W, H))[..., 0], image["Z"])
 
 
-def fault(path, names="R", array=None):
+def fault(path, names="R"):
     """The message, which both checking and reading give, quickly and without much memory."""
     said = []
     for read in (check_planes, read_planes):
         tracemalloc.start()
         start = time.thread_time()
         with pytest.raises(GffeError) as error:
-            read(path, names, path.name, (W, H), array)
+            read(path, names, path.name, (W, H))
         assert time.thread_time() - start < 1 and tracemalloc.get_traced_memory()[1] < 50e6
         tracemalloc.stop()
         said.append(str(error.value))
@@ -93,52 +90,11 @@ def test_images_of_another_size_are_not_decoded(tmp_path):
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (90000, 90000)})
     (tmp_path / "a.npy").write_bytes(header.getvalue())
     assert "90000×90000 pixels" in fault(tmp_path / "a.npy")
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("a.npy", header.getvalue() + bytes(30_000_000))
-    assert "90000×90000 pixels" in fault(tmp_path / "a.npz")
-
     np.save(tmp_path / "deep.npy", np.zeros((H, W, 1), np.float32))
     deep = io.BytesIO()
     np.lib.format.write_array_header_1_0(deep, {"descr": "<f8", "fortran_order": False, "shape": (H, W, 10**8)})
     (tmp_path / "deep.npy").write_bytes(deep.getvalue())
     assert "MiB to decode (expected at most 64 MiB for 391 pixels)" in fault(tmp_path / "deep.npy")
-
-
-@pytest.mark.parametrize("method", [zipfile.ZIP_DEFLATED, zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
-def test_damage_inside_of_npz_files(tmp_path, method):
-    """Whichever decoder meets it; a few bytes of the container mean nothing."""
-    stream = io.BytesIO()
-    np.save(stream, np.random.default_rng(1).random((H, W, 3)))
-    with zipfile.ZipFile(tmp_path / "a.npz", "w", method) as archive:
-        archive.writestr("a.npy", stream.getvalue())
-    whole, said = (tmp_path / "a.npz").read_bytes(), []
-    for at in range(40, len(whole) - 200, 97):
-        (tmp_path / "a.npz").write_bytes(whole[:at] + bytes(8 * [255]) + whole[at + 8 :])
-        try:
-            read_planes(tmp_path / "a.npz", ("0",), "a.npz", (W, H))
-        except GffeError as error:
-            said.append(str(error))
-    assert len(said) > 50 and all("NPZ" in text or "NPY" in text for text in said), said
-
-
-@pytest.mark.parametrize("interlaced", [False, True])
-@pytest.mark.parametrize("size", [(1, 300), (300, 1), (8, 20), (9, 21)])
-def test_png_of_16_bits_of_any_size(tmp_path, size, interlaced):
-    for channels, kind in (("RGB", 2), ("RGBA", 6), ("YA", 4), ("Y", 0)):
-        image = RNG.integers(0, 65536, (*size, len(channels)))
-        (tmp_path / "a.png").write_bytes(png(image, 16, kind, (4, 1, 3, 0, 2), interlaced))
-        np.testing.assert_array_equal(read_planes(tmp_path / "a.png", channels, "a", size[::-1]), image)
-
-
-def test_more_pixels_than_the_header_says_are_not_inflated(tmp_path):
-    image = np.zeros((H, W, 3), np.uint16)
-    whole = png(image, 16, 2)
-    at = whole.index(b"IDAT") - 4
-    (tmp_path / "a.png").write_bytes(whole[:at] + chunk(b"IDAT", zlib.compress(bytes(60_000_000), 9)))
-    tracemalloc.start()
-    np.testing.assert_array_equal(read_planes(tmp_path / "a.png", "RGB", "a", (W, H)), image)
-    assert tracemalloc.get_traced_memory()[1] < 10e6
-    tracemalloc.stop()
 
 
 def test_numpy_files_with_python_in_them(tmp_path):
@@ -150,9 +106,7 @@ def test_numpy_files_with_python_in_them(tmp_path):
 
     objects = np.full((H, W), Evil(), object)
     np.save(tmp_path / "a.npy", objects, allow_pickle=True)
-    np.savez(tmp_path / "a.npz", depth=objects)
     assert "expected numbers" in fault(tmp_path / "a.npy")
-    assert "expected numbers" in fault(tmp_path / "a.npz", array="depth")
     assert not marker.exists()
     (tmp_path / "b.npy").write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", 2000) + b"(" * 2000)
     assert "damaged NPY header" in fault(tmp_path / "b.npy")
@@ -160,7 +114,7 @@ def test_numpy_files_with_python_in_them(tmp_path):
     assert "damaged NPY header" in fault(tmp_path / "c.npy")
 
 
-@pytest.mark.parametrize("name", ["a.exr", "a.png", "a.npy", "a.npz", "deep.png"])
+@pytest.mark.parametrize("name", ["a.exr", "a.png", "a.npy", "deep.png"])
 def test_cut_off_anywhere(tmp_path, name):
     image = RNG.integers(0, 200, (H, W, 3)).astype(np.uint8)
     path = tmp_path / name
@@ -171,7 +125,7 @@ def test_cut_off_anywhere(tmp_path, name):
     elif name == "a.png":
         Image.fromarray(image).save(path)
     else:
-        (np.save if name == "a.npy" else np.savez_compressed)(path, image)
+        np.save(path, image)
     whole = path.read_bytes()
     for length in (0, 3, 9, 20, 40, 90, len(whole) // 2, len(whole) - 30):
         path.write_bytes(whole[:length])
@@ -185,10 +139,9 @@ def test_cut_off_anywhere(tmp_path, name):
 def test_damaged_anywhere(tmp_path):
     """One line, whatever byte is another one; or an image of the right shape."""
     image = RNG.integers(0, 200, (H, W, 3)).astype(np.uint8)
-    np.savez_compressed(tmp_path / "a.npz", image)
     np.save(tmp_path / "a.npy", image)
     (tmp_path / "a.png").write_bytes(png(image, 16, 2, (4, 2)))
-    for name in ("a.npz", "a.npy", "a.png"):
+    for name in ("a.npy", "a.png"):
         path = tmp_path / name
         whole = path.read_bytes()
         for at in RNG.integers(0, len(whole), 60):

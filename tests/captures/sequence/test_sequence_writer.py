@@ -454,11 +454,3 @@ def test_rendered_frames_of_several_sizes_are_refused(tmp_path):
         entry.render_size = (W - 1, H)
         writer.add(entry, named_channels(*pixels(1, H, W - 1)))
     assert not (tmp_path / "out").exists()
-
-
-def test_attributes_that_cannot_be_written_are_refused(tmp_path):
-    wrong = {"chromaticities": np.zeros(2, np.float32)}
-    refused = pytest.raises(GffeError, match=r"frame_0.exr: cannot be written \(.*chromaticities")
-    with refused, SequenceWriter(tmp_path / "out", W, H, 30, attributes=wrong) as writer:
-        writer.add(rendered(0), named_channels(*pixels(0)))
-    assert not (tmp_path / "out").exists()

@@ -283,10 +283,7 @@ def file_calls(folder):
         "SequenceWriter": Call(
             SequenceWriter, writing | {"generator": "gffe-cl", "compression": "zip", "format": None}
         ),
-        "SequenceWriter, used": Call(started, writing | {"attributes": {"owner": "me"}}),
-        "SequenceWriter, an attribute": Call(
-            lambda value: started(**writing, attributes={"own": value}), {"value": 1.5}
-        ),
+        "SequenceWriter, used": Call(started, writing),
         "SequenceWriter.add": Call(written("add"), {"entry": entry, "channels": channels, "owned": False}),
         "SequenceWriter.add_frame": Call(
             written("add_frame"), {"entry": entry, "frame": gffe_cl.RenderedFrame(COLOR, DEPTH, MOTION, CAMERA, 0.0)}
@@ -490,21 +487,6 @@ def test_times_of_numpy_are_no_numbers():
             Camera(np.eye(4), value, 1.0, 1.0, 1.0)
         with pytest.raises(GffeError, match="jitter: length must be a whole number"):
             Jitter(value)
-
-
-@pytest.mark.parametrize(
-    ("attributes", "told"),
-    [
-        ({"own": 2**31}, 'attribute "own" must be a whole number from -2147483648 to 2147483647, got 2147483648'),
-        ({"": 1}, "names must be texts up to 255 characters"),
-        ({"x" * 256: 1}, "names must be texts up to 255 characters"),
-        ({"tiles": 1}, "and not about how pixels are stored"),
-        ({3: 1}, "names must be texts"),
-    ],
-)
-def test_attributes_that_no_header_takes(tmp_path, attributes, told):
-    with pytest.raises(GffeError, match=told):
-        SequenceWriter(tmp_path / "out", W, H, 30.0, attributes=attributes)
 
 
 def test_messages_print_no_endless_numbers():

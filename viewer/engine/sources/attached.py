@@ -27,7 +27,7 @@ class AttachedSource(FrameSource):
         about = program.about
         self.program, self.name, self.fps, self.exposure = program, program.name, about.fps, 1.0
         (self.width, self.height), self.render_size = about.display, about.render_size
-        self.options, self.attributes = program.options, {}
+        self.options = program.options
 
     def configure(self, window, n, upscale=0.0):
         return False

@@ -1,1 +1,0 @@
-"""Cameras for captures that have none, from depth and motion vectors (`gffe calibrate`)."""
