@@ -5,6 +5,9 @@ Names of the API stand alone, commands and their options as they were typed: "gf
 
 GONE: dict[str, str] = {
     "gffe calibrate": "write the cameras with the capture, or find them by cv2.solvePnP (docs/formats.md).",
+    "gffe bench --methods": "`gffe eval` has the quality and the time of each method.",
+    "gffe eval --turn-rate": "render a scene whose camera turns, such as forest, or measure a sequence of your own.",
+    "gffe eval --upscale": "`gffe run --upscale` and `gffe compare` measure upscaling.",
     "GlSharing": "import memory of Vulkan by MemorySharing, or pass NumPy arrays to submit.",
     "gffe check --html": "`--json FILE` has all findings and residuals.",
     "Stepper": "choose a preset (gffe bench prints what each costs); Pipeline.change_options works with other options.",

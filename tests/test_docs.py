@@ -19,7 +19,7 @@ import gffe_cl
 from gffe_cl import cli
 from gffe_cl.captures.sequence.description import Description, FrameEntry, describe
 from gffe_cl.cli.commands import app
-from gffe_cl.gone import removal
+from gffe_cl.gone import GONE, removal
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(
@@ -78,7 +78,8 @@ def test_commands_that_prose_names_exist():
             if words[0] in ("COMMAND", "study") or removal(f"gffe {words[0]}"):  # the changelog has removed ones
                 continue
             known = {flag for p in commands[words[0]].params for flag in (*p.opts, *p.secondary_opts)} | {"--help"}
-            assert {word for word in words if re.match(r"--?[a-z]", word)} <= known, f"{name}: gffe {quoted}"
+            options = {word for word in words if re.match(r"--?[a-z]", word)} - known
+            assert {f"gffe {words[0]} {option}" for option in options} <= set(GONE), f"{name}: gffe {quoted}"
 
 
 def _anchors(text):

@@ -240,9 +240,12 @@ def test_the_rules_can_fail():
         "engine.core.errors": {"engine.pipeline.pipeline"},
         "engine.pipeline.pipeline": {"captures.formats"},
         "captures.formats": {"engine.core.errors"},
-        "viewer.window.app": {"viewer.state.model", "lab.table.jobs", "lab.metrics.images"},
+        "viewer.window.app": {"viewer.state.model", "lab.table.cells", "lab.metrics.images"},
     }
-    assert across(graph, WINGS) == ["engine.pipeline.pipeline → captures.formats", "viewer.window.app → lab.table.jobs"]
+    assert across(graph, WINGS) == [
+        "engine.pipeline.pipeline → captures.formats",
+        "viewer.window.app → lab.table.cells",
+    ]
     assert upwards(inside(graph, "engine"), FLOORS["engine"]) == ["core.errors → pipeline.pipeline"]
     assert circle(graph) == ["captures.formats", "engine.core.errors", "engine.pipeline.pipeline"]
     assert upwards({"viewer.engine.story": {"viewer.state.model"}}, ROOMS_OF_VIEWER)

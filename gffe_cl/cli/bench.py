@@ -22,7 +22,7 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.cli.options import takes_options
-from gffe_cl.engine.core.errors import GffeError, require_packages
+from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import Device, DeviceInfo
@@ -65,14 +65,6 @@ def bench(
             " [dim](default size: 1920x1080)[/].",
         ),
     ] = False,
-    methods: Annotated[
-        bool,
-        typer.Option(
-            "--methods",
-            help="Comparison of time and PSNR with other methods, of OpenCL, OpenCV and PyTorch, in turns on the same"
-            " frames [dim](default size: 1920x1080)[/].",
-        ),
-    ] = False,
     host: Annotated[
         bool,
         typer.Option(
@@ -109,9 +101,6 @@ def bench(
     asked = _Asked(opened, subject, parsed, frame, repeats, options)
     if host:
         report = _bench_host(asked)
-    elif methods:
-        require_packages("--methods", "lab", "scipy")
-        report = _bench_methods(asked)
     else:
         report = _bench_times(asked, kernels)
     write_json(json_path, report)
@@ -167,22 +156,6 @@ def _bench_times(asked: _Asked, kernels: bool) -> dict:
         figures = {"of": name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
         report.append(_named(device.info) | {"copied by": copier.way} | figures)
     return {"devices": report, "paper": PAPER}
-
-
-def _bench_methods(asked: _Asked) -> dict:
-    from gffe_cl.engine.opencl.device import open_device
-    from gffe_cl.lab.bench.counting import SIZE
-    from gffe_cl.lab.bench.method_times import measure_methods, subject_of
-
-    default = open_device().info.index
-    devices = sorted(asked.devices, key=lambda device: device.info.index != default)
-    reports = []
-    for size in asked.sizes_or(SIZE):
-        chosen = subject_of(asked.subject, size, asked.frame)
-        with progress_bars() as progress:
-            reports.append(measure_methods(chosen, devices, asked.options, asked.repeats, steps(progress)))
-        _print_methods(reports[-1])
-    return {"sizes": reports}
 
 
 def _bench_host(asked: _Asked) -> dict:
@@ -275,28 +248,6 @@ def _print_kernels(results: list[SizeBench]) -> None:
     for name in results[0].kernels:
         table.add_row(name, *(f"{r.kernels.get(name, 0):.2f}" for r in results))
     out.print(table)
-
-
-def _print_methods(report: dict) -> None:
-    first, regions = report["methods"][0], [name for name, share in report["share"].items() if share]
-    title = plain(f"{report['of']}, {report['width']}×{report['height']}, {report['turns']} turns")
-    heads = "method", "on", "ms", f"× {first['method']}", "PSNR, dB"
-    times = Table(*heads, title=title, box=None, header_style="bold")
-    psnrs = Table("PSNR, dB, by region", *regions, box=None, header_style="bold")
-    for row in report["methods"]:
-        figures = f"{row['milliseconds']:.1f}", f"{row['ratio']:.2f}", f"{row['psnr']:.2f}"
-        times.add_row(row["method"], plain(row["platform"] or "host"), *figures)
-        if row["platform"] in (None, first["platform"]):
-            psnrs.add_row(row["method"], *(f"{row['regions'][region]:.2f}" for region in regions))
-    psnrs.add_row("share of the pixels", *(f"{report['share'][region]:.2%}" for region in regions))
-    out.print(times)
-    out.print(
-        "ms: from the buffers of a rendered frame to the color of the new one, median."
-        " ×: ratio to the first row in the same turn, median."
-    )
-    out.print(psnrs)
-    for name, reason in report["skipped"].items():
-        out.print(plain(f"{name}: {reason}"))
 
 
 def _print_traffic(loop: FrameLoop, lanes: int, kernels: dict[str, KernelTraffic]) -> None:

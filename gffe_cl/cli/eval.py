@@ -31,9 +31,9 @@ from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import write_text
 
 if TYPE_CHECKING:
-    from gffe_cl.lab.table.datasets import Subject
+    from gffe_cl.lab.table.cells import Filled
+    from gffe_cl.lab.table.footage import Subject
     from gffe_cl.lab.table.results import Column
-    from gffe_cl.lab.table.runner import Filled
 
 TURNS = (0.5, 1.0, 2.0, 4.0)  # degrees
 
@@ -51,14 +51,14 @@ def evaluate(
     seeds: Annotated[
         int, typer.Option(help="Number N of seeds, 0 … N−1, of each built-in scene that is named without a seed.")
     ] = 1,
-    output: Annotated[Path, typer.Option("--out", help="Folder for the report and the finished cells.")] = Path(
+    output: Annotated[Path, typer.Option("--out", help="Folder for the results and the finished cells.")] = Path(
         "report"
     ),
     methods: Annotated[
         str | None,
         typer.Option(
-            help="Methods or groups, separated by commas: gffe, preset, ablation, deviation, baseline, filling, window,"
-            " upscaling, library [dim](default: the first five)[/]."
+            help="Methods or groups, separated by commas: gffe, preset, ablation, deviation, baseline [dim](default:"
+            " all)[/]."
         ),
     ] = None,
     onnx: Annotated[
@@ -84,13 +84,6 @@ def evaluate(
             help="Times of the new frames of built-in scenes, in intervals of rendered frames, separated by commas."
         ),
     ] = "0.5",
-    upscale: Annotated[
-        float,
-        typer.Option(
-            help="Upscaling factor, display pixels per rendered pixel, each way: jittered small frames are upscaled;"
-            " adds the group upscaling."
-        ),
-    ] = 0.0,
     encode: Annotated[
         list[str] | None,
         typer.Option(
@@ -99,13 +92,6 @@ def evaluate(
             " of methods and encodings.",
         ),
     ] = None,
-    turn_rate: Annotated[
-        float,
-        typer.Option(
-            help="Turn rate of the camera of built-in scenes, degrees per second, 0 to 1000 [dim](default: 0, the"
-            " scene's own camera)[/]."
-        ),
-    ] = 0.0,
     regions: Annotated[
         bool, typer.Option("--regions", help="Regions of the picture: print the PSNR of every method in each.")
     ] = False,
@@ -125,26 +111,27 @@ def evaluate(
     device: DeviceOption = None,
     follow_links: FollowLinksOption = False,
 ) -> None:
-    """Measure methods on sequences: a report with tables, pictures and plots. Finished cells are kept."""
+    """Measure the quality and time of methods on sequences. Finished cells are kept."""
     require_packages("eval", "lab", "skimage", "scipy")
     from gffe_cl.captures.scenes import SCENES
-    from gffe_cl.engine.options import Options
-    from gffe_cl.lab.table.datasets import SceneSubject
+    from gffe_cl.lab.table.cells import TableOrder
+    from gffe_cl.lab.table.footage import SceneSubject
     from gffe_cl.lab.table.methods import LATE_WARP
     from gffe_cl.lab.table.results import results_of
-    from gffe_cl.lab.table.runner import TableOrder
 
-    _check(frames, fps, seeds, turn_rate)
+    if not (4 <= frames <= 10_000 and 0 < fps <= 1e6 and 1 <= seeds <= 10_000):
+        raise GffeError(
+            "eval: --frames must be 4 to 10000, --fps positive and --seeds 1 to 10000,"
+            f" got {frames}, {fps:g} and {seeds}"
+        )
     videos = _videos(metrics)
     alphas = tuple(parse_numbers(alpha, "--alpha"))
     if not alphas or len(set(alphas)) < len(alphas) or not all(0 < a <= 8 for a in alphas):
         raise GffeError(f"--alpha must be different numbers within 0 and 8, got '{alpha}'")
-    if Options(upscale=upscale).upscale and late_warp:
-        raise GffeError("--upscale and --late-warp exclude each other")
     scenes = parse_size(size), frames, fps, alphas
     named = [name for text in subjects or SCENES for name in _seeded(text, seeds)]
     encodings = ["" if text == "exact" else text for text in encode or ("",)]
-    chosen, broken = _subjects(named, encodings, *scenes, upscale=upscale, turn_rate=turn_rate)
+    chosen, broken = _subjects(named, encodings, *scenes)
     words = tuple(methods.split(",")) if methods else None
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
@@ -158,7 +145,7 @@ def evaluate(
     for name, reason in broken.items():
         filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
-    _write(output, results, filled)
+    _write(output, results)
     _print(results, budget, regions)
     if filled.broken:
         raise GffeError(
@@ -166,14 +153,14 @@ def evaluate(
         )
 
 
-def _subjects(texts, encodings, *scenes, **more: float) -> tuple[tuple[Subject, ...], dict[str, str]]:
+def _subjects(texts, encodings, *scenes) -> tuple[tuple[Subject, ...], dict[str, str]]:
     """Return the subjects, and why folders among several cannot be opened, by their names."""
-    from gffe_cl.lab.table.datasets import parse_subject
+    from gffe_cl.lab.table.footage import parse_subject
 
     chosen, broken = [], {}
     for text, encoding in product(texts, encodings):
         try:
-            chosen.append(parse_subject(text, *scenes, **more, encoding=encoding))
+            chosen.append(parse_subject(text, *scenes, encoding=encoding))
         except GffeError as error:
             if len(texts) == 1 or not Path(text).is_dir():
                 raise
@@ -188,13 +175,6 @@ def _seeded(text: str, seeds: int) -> list[str]:
     from gffe_cl.captures.scenes import is_scene
 
     return [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
-
-
-def _check(frames: int, fps: float, seeds: int, turn_rate: float) -> None:
-    if not (4 <= frames <= 10_000 and 0 < fps <= 1e6):
-        raise GffeError(f"eval: --frames must be 4 to 10000 and --fps positive, got {frames} and {fps:g}")
-    if not (1 <= seeds <= 10_000 and 0 <= turn_rate <= 1000):
-        raise GffeError(f"eval: --seeds must be 1 to 10000 and --turn-rate 0 to 1000, got {seeds} and {turn_rate:g}")
 
 
 def _turned(subject: Subject, turn: float) -> Subject:
@@ -229,7 +209,7 @@ def _folder(path: Path) -> Path:
 def _filling(output: Path, device: str | None):
     """Yield a function that fills a table of cells cached in `output`, with a progress bar and an estimate of the time
     left."""
-    from gffe_cl.lab.table.runner import fill
+    from gffe_cl.lab.table.cells import fill
 
     with progress_bars() as bars:
 
@@ -239,21 +219,19 @@ def _filling(output: Path, device: str | None):
         yield filled
 
 
-def _write(output: Path, results: dict, filled: Filled) -> None:
-    from gffe_cl.lab.table.page import page
+def _write(output: Path, results: dict) -> None:
     from gffe_cl.lab.table.results import to_csv
 
     files = {
         "results.json": json.dumps(results, indent=1, allow_nan=False) + "\n",
         "results.csv": to_csv(results),
-        "index.html": page(results, filled),
     }
     for name, text in files.items():
         try:
             write_text(output / name, text)
         except OSError as error:
             raise GffeError(f"{output / name}: cannot be written ({error.strerror or error})") from None
-    out.print(f"{plain(output / 'index.html')}, results.json, results.csv")
+    out.print(f"{plain(output / 'results.json')}, results.csv")
 
 
 def _print(results: dict, with_budget: bool, with_regions: bool) -> None:

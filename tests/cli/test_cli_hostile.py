@@ -21,9 +21,9 @@ from gffe_cl.engine.core.files import only_process, replacing
 from gffe_cl.engine.export import writing
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.options import Options
-from gffe_cl.lab.table import runner
-from gffe_cl.lab.table.datasets import SceneSubject
-from gffe_cl.lab.table.jobs import Cell
+from gffe_cl.lab.table import cells
+from gffe_cl.lab.table.cells import Cell
+from gffe_cl.lab.table.footage import SceneSubject
 
 
 def test_empty_and_infinite_values_are_refused(gffe, tmp_path, monkeypatch):
@@ -117,21 +117,21 @@ def test_an_export_that_finds_no_room_leaves_nothing(tmp_path, monkeypatch):
 
 
 def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
-    def cell(subject, method, **_):
+    def cell(subject, method, *_, **__):
         if subject.seed in broken:
             raise GffeError("frame 3: is broken")
-        return Cell({"frames": []}, {}, {"machine": "A", "milliseconds": 1.0})
+        return Cell({"frames": []}, {"machine": "A", "milliseconds": 1.0})
 
-    monkeypatch.setattr(runner, "compute_cell", cell)
-    monkeypatch.setattr(runner, "machine_of", lambda *_: "A")
+    monkeypatch.setattr(cells, "compute_cell", cell)
+    monkeypatch.setattr(cells, "machine_of", lambda *_: "A")
     subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
     broken = [1]
-    filled = runner.fill(runner.TableOrder(subjects, ("repeat",)), tmp_path)
+    filled = cells.fill(cells.TableOrder(subjects, ("repeat",)), tmp_path)
     assert filled.broken == {"room:1": "frame 3: is broken"}
     assert {name for name, _ in filled.cells} == {"room:0", "room:2"} == {s.name for s in filled.subjects}
     broken = [0, 1, 2]
     with pytest.raises(GffeError, match="room:2: frame 3"):
-        runner.fill(runner.TableOrder(subjects, ("repeat",), recompute=True), tmp_path)
+        cells.fill(cells.TableOrder(subjects, ("repeat",), recompute=True), tmp_path)
 
 
 @pytest.mark.long

@@ -38,7 +38,6 @@ codes = {
     "view": gffe("view", sequence),
     "eval": gffe("eval", sequence),
     "demo": gffe("demo"),
-    "methods": gffe("bench", sequence, "--methods"),
 }
 unknown = [name for name in gffe_cl.__all__ if not hasattr(gffe_cl, name)]
 open(report, "w").write(json.dumps([codes, unknown]))
@@ -51,11 +50,11 @@ def test_only_those_who_need_packages_ask_for_them(tmp_path):
     done = subprocess.run([sys.executable, "-c", BLOCKED + WORKS, *paths], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     codes, unknown = json.loads((tmp_path / "report.json").read_text())
-    assert codes == {"devices": 0, "run": 0, "bench": 0, "check": 0, "view": 2, "eval": 2, "demo": 2, "methods": 2}
+    assert codes == {"devices": 0, "run": 0, "bench": 0, "check": 0, "view": 2, "eval": 2, "demo": 2}
     assert not unknown
     assert (tmp_path / "out" / "sequence.json").is_file()
     said = " ".join(done.stderr.split())
     assert "error: the viewer needs imgui-bundle: imgui_bundle is broken (expected: pip install" in said
-    for what, extra in (("eval", "lab"), ("demo", "lab,video"), ("--methods", "lab")):
+    for what, extra in (("eval", "lab"), ("demo", "lab,video")):
         assert re.search(rf"error: {what} needs \w+: pip install '\.\[{extra}\]'", said)
     assert "Traceback" not in said

@@ -159,7 +159,7 @@ def run_without_extras():
     """Run the viewer and a comparison, which work, and commands that name the extra they need."""
     run_commands(RENDERED)
     view()
-    for command, extra in (("eval", "lab"), ("demo", "lab,video"), ("bench --methods", "lab"), ("train out", "train")):
+    for command, extra in (("eval", "lab"), ("demo", "lab,video"), ("train out", "train")):
         said = run(GFFE, *command.split(), code=2)
         assert f"pip install '.[{extra}]'" in said and len(said.splitlines()) <= 3, said
 

@@ -26,8 +26,6 @@ from gffe_cl.engine.timing import bench as bench_module
 from gffe_cl.engine.timing import footage as timed_footage
 from gffe_cl.lab.bench import counting
 from gffe_cl.lab.bench import footage as inputs
-from gffe_cl.lab.table import methods
-from gffe_cl.lab.table.methods import LIBRARY, METHODS
 
 ROOT = Path(__file__).parents[2]
 TABLE = ROOT / "docs" / "measured" / "traffic.json"
@@ -101,51 +99,9 @@ def test_bench_of_a_sequence(gffe, tmp_path):
         assert 0 < size["memory_gae"] == size["memory"] == sum(size["memory_by_stage"].values()) + (2 * 12 + 8) * 13 * 9
 
 
-@pytest.mark.long
-def test_bench_of_methods(gffe, tmp_path):
-    """On the same frames: gffe and dilate-splat on every device, the rest on the host, all with figures; the first is
-    the reference."""
-    options = ("--sizes", "64x48", "--repeats", 7, "--scn-model", constant_model(tmp_path / "m.onnx"))
-    code, text, _ = gffe("bench", "--methods", *options, "--json", tmp_path / "m.json")
-    assert code == 0 and "PSNR, dB, by region" in text
-    (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
-    rows = {(row["method"], row["platform"]): row for row in report["methods"]}
-    assert (report["width"], report["height"], report["turns"]) == (64, 48, 12)  # whole rounds of the six new frames
-    assert len(rows) == len(report["methods"]) and sum(report["share"].values()) == pytest.approx(1, abs=1e-3)
-    on_devices = {"gffe", "no-scn", "quality", "performance", "dilate-splat"}
-    first, repeat = report["methods"][0], rows["repeat", None]
-    assert first["method"] == "gffe" and first["ratio"] == 1 and repeat["milliseconds"] < first["milliseconds"]
-    assert {row["method"] for row in report["methods"]} | set(report["skipped"]) == {
-        *on_devices, "repeat", *(name for name, method in METHODS.items() if method.group == LIBRARY)
-    }  # fmt: skip
-    for row in report["methods"]:
-        assert row["milliseconds"] >= 0 and (row["platform"] is None) == (row["method"] not in on_devices)
-        total = sum(share * 10 ** (-row["regions"][name] / 10) for name, share in report["share"].items() if share)
-        assert total == pytest.approx(10 ** (-row["psnr"] / 10), rel=0.01)  # regions are parts of the whole
-    for name in ("no-scn", "performance", "dilate-splat"):
-        same = [row["psnr"] for row in report["methods"] if row["method"] == name]
-        assert np.ptp(same) < 0.01 and same[0] > repeat["psnr"]
-
-
-def test_bench_of_methods_on_a_sequence(gffe, tmp_path, monkeypatch):
-    """The same without the network, and without packages."""
-    monkeypatch.setattr(methods.importlib.util, "find_spec", lambda name: None)
-    assert gffe("render", "plaza", tmp_path / "in", "--size", "64x36", "--frames", 5, "--ground-truth")[0] == 0
-    options = ("--repeats", 1, "--no-scn", "--device", "cpu", "--json", tmp_path / "m.json")
-    code, text, _ = gffe("bench", tmp_path / "in", "--methods", *options)
-    assert code == 0 and "needs torch: pip install" in text
-    (report,) = json.loads((tmp_path / "m.json").read_text())["sizes"]
-    assert [row["method"] for row in report["methods"]] == [
-        "gffe", "quality", "performance", "dilate-splat", "repeat"
-    ] and report["of"] == "in"  # fmt: skip
-
-
 @pytest.mark.parametrize(
     ("options", "complaint"),
     [
-        (("--methods", "--frame", 1), "--frame must be at least 2 with --methods"),
-        (("--methods", "--upscale", 2), "takes frames of the display's size"),
-        ((".", "--methods", "--sizes", "64x48"), "leave out --frame and --sizes"),
         (("nosuch",), "nosuch: no such folder"),
         (("--frame", 0), "--frame must be at least 1"),
         (("--traffic", "--lanes", 3), "--lanes must be 1, 8 or 1,8"),

@@ -12,9 +12,9 @@ from twins.dilate_splat import NOTHING, dilate_splat, warp_back
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.timing.footage import uploaded
-from gffe_cl.lab.table.datasets import Footage, Moment, Shot
-from gffe_cl.lab.table.dilate_splat import DilateSplat
+from gffe_cl.lab.table.footage import Footage, Moment, Shot
 from gffe_cl.lab.table.methods import DILATE_SPLAT, METHODS
+from gffe_cl.lab.table.pipelines import DilateSplat
 
 pytestmark = pytest.mark.device
 SIZES = (61, 37), (64, 8), (5, 3), (1, 1)  # rows that end within a strip, or before one does

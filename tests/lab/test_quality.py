@@ -9,7 +9,7 @@ from gffe_cl.engine.inference import network
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.lab.metrics import focus_mask, to_display
-from gffe_cl.lab.table.datasets import SceneSubject, open_subject
+from gffe_cl.lab.table.footage import SceneSubject, open_subject
 
 WIDTH, HEIGHT, FRAMES, FPS = 320, 180, 7, 30.0
 

@@ -20,7 +20,7 @@ from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.metrics import Metric, psnr, squared_error, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as TABLE
-from gffe_cl.lab.table.labels import find_labels
+from gffe_cl.lab.table.footage import find_labels
 from gffe_cl.viewer.engine.figures import (
     NEEDED,
     REGIONS,
@@ -130,7 +130,7 @@ def test_disocclusions_over_the_picture():
 
 def test_regions_are_those_of_the_table(tmp_path):
     """... of `gffe eval` where it finds them by the pipeline: its two kinds of disocclusions are one here."""
-    from gffe_cl.lab.table.datasets import FolderSubject, open_subject
+    from gffe_cl.lab.table.footage import FolderSubject, open_subject
     from gffe_cl.viewer.engine.engine import Engine
     from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 

@@ -15,23 +15,12 @@ from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import PRESETS, Options
-from gffe_cl.lab.table import baselines, libraries
-from gffe_cl.lab.table.datasets import Footage, Moment, Shot, Subject
-from gffe_cl.lab.table.dilate_splat import DilateSplat
-from gffe_cl.lab.table.network import OnnxModel, OnnxRunner
-from gffe_cl.lab.table.pipelines import (
-    DeviceRunner,
-    PipelineRunner,
-    RenderedUpscaled,
-    Resampled,
-    TrueGeometry,
-    TrueMotion,
-    UpscaledFirst,
-)
+from gffe_cl.lab.table import baselines
+from gffe_cl.lab.table.footage import Footage, Moment, Shot, Subject
+from gffe_cl.lab.table.pipelines import DeviceRunner, DilateSplat, PipelineRunner
 
 FULL = "gffe"
 DILATE_SPLAT = "dilate-splat"
-LIBRARY = "library"
 GIVEN = "given"  # rendered frames as the sequence has them
 
 
@@ -54,17 +43,14 @@ class Method:
     Attributes
     ----------
     name, title : on the command line and in JSON; for people
-    group : "gffe", "ablation", "deviation" (a deviation from the paper, switched to the paper's way), "filling"
-        (of holes, with more or fewer levels of background), "window", "upscaling" (done otherwise), "baseline" or
-        "library" (a few calls of OpenCV or PyTorch)
+    group : "gffe", "preset", "ablation", "deviation" (a deviation from the paper, switched to the paper's way) or
+        "baseline"
     options : of the pipeline, if it is one
     window : window of its rendered frames, as of `Footage.shots`
     camera : False: the pipeline predicts the camera of the new frame
-    needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes),
-        "upscale" (rendered frames smaller than the display)
+    needs : "guide" (G-buffers of the new frame), "following" (the next rendered frame), "windows" (built-in scenes)
     package : module that must be importable, and the extra that brings it
     model : of the ONNX contract
-    pipelines : how our pipeline is used, if it is one
     make : footage → Runner, where it works on the host
     on_device : footage, device → DeviceRunner, where it has kernels of its own
     """
@@ -78,7 +64,6 @@ class Method:
     needs: frozenset[str] = frozenset()
     package: tuple[str, str] | None = None
     model: Path | None = None
-    pipelines: type[PipelineRunner] = PipelineRunner
     make: Callable[[Footage], Runner] | None = None
     on_device: Callable[[Footage, Device], DeviceRunner] | None = None
 
@@ -90,10 +75,6 @@ class Method:
             return "needs G-buffers of the new frames, which only exact built-in scenes have"
         if "windows" in self.needs and not footage.windows:
             return "windows can be chosen for exact built-in scenes only"
-        if "upscale" in self.needs and not footage.upscale:
-            return "needs rendered frames smaller than the display (--upscale)"
-        if footage.upscale and self.window != GIVEN:
-            return "takes rendered frames of the display's size, not --upscale's"
         return None
 
     def identity(self) -> dict:
@@ -112,7 +93,7 @@ class Method:
     def runner(self, footage: Footage, device: Device) -> Runner:
         """Return a runner at the start of a sequence. Raises GffeError."""
         if self.options is not None:
-            return self.pipelines(self.options, self.window, self.camera, footage, device)
+            return PipelineRunner(self.options, self.window, self.camera, footage, device)
         if self.on_device is not None:
             return self.on_device(footage, device)
         assert self.make is not None
@@ -124,37 +105,8 @@ def _gffe(name: str, title: str, group: str, window: str = GIVEN, camera: bool =
     return Method(name, title, group, Options(**options), window, camera, needs)
 
 
-def _upscaling(name: str, title: str, pipelines: type[PipelineRunner], *needs: str) -> Method:
-    return Method(name, title, "upscaling", Options(), GIVEN, needs=frozenset({"upscale", *needs}), pipelines=pipelines)
-
-
-def _filling(hole_filling: str, levels: int) -> Method:
-    title = f"{hole_filling} holes, {levels} level{'s' * (levels != 1)} of background"
-    options = {"hole_filling": hole_filling, "levels": levels, "shading_correction": False}
-    return _gffe(f"{hole_filling}-{levels}", title, "filling", **options)
-
-
-def _library(name: str, title: str, package: str, extra: str, make: Callable[[Footage], Runner]) -> Method:
-    return Method(name, title, LIBRARY, package=(package, extra), make=make)
-
-
-def _flow(flow: str) -> Method:
-    name, title = ("farneback", "Farneback") if flow == "farneback" else (f"dis-{flow}", f"DIS {flow}")
-    title = f"optical flow ({title}), extrapolated by a bilinear remap"
-    return _library(name, title, "cv2", "opencv", lambda footage: libraries.RemappedFlow(flow, footage.exposure))
-
-
-def _remap(name: str, cubic: bool) -> Method:
-    title = f"motion vectors, {'cubic' if cubic else 'bilinear'} remap"
-    return _library(name, title, "cv2", "opencv", lambda footage: libraries.Remapped(cubic))
-
-
 def _baseline(name: str, title: str, make: Callable[[Footage], Runner], *needs: str) -> Method:
     return Method(name, title, "baseline", needs=frozenset(needs), make=make)
-
-
-def _window(name: str, title: str, mode: str) -> Method:
-    return _gffe(f"window-{name}", title, "window", mode, shading_correction=False)
 
 
 _PAPERS_WAY = {
@@ -178,7 +130,6 @@ _ALL = (
     _gffe("order-5", "prediction of order 5", "ablation", history=6, order=5),
     _gffe("no-background", "no background", "ablation", levels=0),
     _gffe("levels-1", "a single level of background: only what movers hide", "ablation", levels=1),
-    _gffe("levels-3", "three levels of background", "ablation", levels=3),
     _gffe("adaptive-window", "adaptive rendering window", "ablation", "adaptive"),
     _gffe("fixed-window", "fixed rendering window, 1.2 times", "ablation", "fixed:1.2"),
     _gffe("no-scn", "no shading correction", "ablation", shading_correction=False),
@@ -193,26 +144,6 @@ _ALL = (
     _gffe("hard-silhouettes", "silhouettes as the warp leaves them", "deviation", soft_silhouettes=False),
     _gffe("linear-camera", "camera predicted along a line", "deviation", camera=False, camera_order=1),
     _gffe("papers-way", "all of these the paper's way", "deviation", **_PAPERS_WAY),
-    _upscaling("bicubic", "no upscaling: small frames, resampled", Resampled),
-    _upscaling("rendered-upscaled", "rendered frames upscaled, new ones as extrapolated", RenderedUpscaled),
-    _upscaling("upscaled-first", "new frames extrapolated from upscaled ones", UpscaledFirst),
-    _upscaling("true-geometry", "upscaling fed by true depth and motion of new frames", TrueGeometry, "guide"),
-    *(_filling("downsample", levels) for levels in range(4)),
-    *(_filling("far-side", levels) for levels in range(4)),
-    _window("off", "no rendering window", "off"),
-    *(_window(f, f"fixed rendering window, {f} times", f"fixed:{f}") for f in ("1.1", "1.2", "1.4")),
-    _window("adaptive", "adaptive rendering window", "adaptive"),
-    _window("dense", "adaptive rendering window, pixels as small as the display's", "adaptive, dense"),
-    _window("wide", "half more of the view on every side, pixels as small as the display's", "wide"),
-    Method(
-        "true-motion",
-        "every fragment where it truly is (oracle), no shading correction",
-        "baseline",
-        Options(shading_correction=False),
-        needs=frozenset({"guide"}),
-        pipelines=TrueMotion,
-    ),
-    _gffe("ui-detection", "a user interface in the color is found and kept in place", "interface", ui_detection=True),
     _baseline("repeat", "repeat the last frame", lambda footage: baselines.Repeat()),
     _gffe(
         "static-reprojection",
@@ -252,14 +183,9 @@ _ALL = (
         lambda footage: baselines.Interpolation(),
         "following",
     ),
-    _remap("remap-bilinear", cubic=False),
-    _remap("remap-cubic", cubic=True),
-    *map(_flow, libraries.FLOWS),
-    _library("torch-splat", "motion vectors, forward splat", "torch", "train", lambda footage: libraries.TorchSplat()),
 )
 METHODS: dict[str, Method] = {method.name: method for method in _ALL}
 GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
-_ON_REQUEST = ("interface", "filling", "window", "upscaling", LIBRARY)  # groups: in the table only if they are named
 LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 
@@ -292,28 +218,26 @@ GAINS = (
 
 
 def onnx_method(name: str, path: str | Path) -> Method:
-    """Return a method that runs a network of `network`'s contract. Raises GffeError."""
+    """Return a method that runs a network of the contract of `OnnxModel`. Raises GffeError."""
     if not name or name in METHODS:
         raise GffeError(f"--onnx {name}={path}: the name is empty or a method's own (expected another one)")
-    model = OnnxModel(path)
+    model = baselines.OnnxModel(path)
     needs = frozenset({"following"}) if model.interpolates else frozenset()
     title = f"{name} (ONNX{', adds latency' if needs else ''})"
     return Method(
         name, title, "baseline", needs=needs, model=Path(path),
-        make=lambda footage: OnnxRunner(model, footage.exposure),
+        make=lambda footage: baselines.OnnxRunner(model, footage.exposure),
     )  # fmt: skip
 
 
 def chosen_methods(
     words: Iterable[str] | None,
     onnx: Iterable[str] = (),
-    upscale: bool = False,
     network: tuple[str | None, str | None] = (None, None),
 ) -> dict[str, Method]:
-    """Return methods and groups by name (None: all of them, except shading correction's where there are no weights, and
-    those of `_ON_REQUEST`; upscaling's with `upscale`), and networks as "NAME=FILE", in the order of the table.
-    `network`: file (None: the package's own) and execution provider of the shading correction network. Raises
-    GffeError."""
+    """Return methods and groups by name (None: all of them), and networks as "NAME=FILE", in the order of the table;
+    rows of the shading correction network only where there are weights. `network`: file (None: the package's own) and
+    execution provider of that. Raises GffeError."""
     networks = {}
     for text in onnx:
         name, equals, path = text.partition("=")
@@ -321,9 +245,7 @@ def chosen_methods(
             raise GffeError(f"--onnx {text}: expected NAME=FILE")
         networks[name] = onnx_method(name, path)
     known = METHODS | networks
-    groups = {*GROUPS} - {*_ON_REQUEST} | ({"upscaling"} if upscale else set())
-    wanted = {name for name, method in known.items() if method.group in groups}
-    wanted = wanted if words is None else set()
+    wanted = set(known) if words is None else set()
     for word in words or ():
         found = {word} if word in known else {name for name, method in known.items() if method.group == word}
         if not found:

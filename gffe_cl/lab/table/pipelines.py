@@ -1,22 +1,24 @@
-"""Runners on a device: our pipeline as a method of the table, and variants that upscale otherwise than the pipeline
-does."""
+"""Runners on a device: our pipeline as a method of the table, and the cheapest method that moves motion vectors with a
+depth test, to compare with on the same runtime."""
 
 from __future__ import annotations
 
-from dataclasses import replace
+from collections import deque
 from typing import Any
 
 import numpy as np
+import pyopencl as cl
 
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.program import build
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.frame_block import mapping
-from gffe_cl.lab.table.datasets import Footage, Moment, Shot
-from gffe_cl.lab.table.image_space import pixel_centers
+from gffe_cl.engine.timing.footage import uploaded
+from gffe_cl.lab.table.footage import Footage, Moment, Shot
+
+_GROUP = 64  # work-items of a work-group, in a row
+_EVENTS = 64  # kept at most
 
 
 class DeviceRunner:
@@ -57,16 +59,12 @@ class DeviceRunner:
 
 
 class PipelineRunner(DeviceRunner):
-    """The project's pipeline with the options of a method, with upscaling if frames are smaller than the display.
-    `window`: rule of the rendering window; `knows_camera`: whether the new frame's camera is given; `pipeline`: its
-    own."""
-
-    upscales = True
+    """The project's pipeline with the options of a method. `window`: rule of the rendering window; `knows_camera`:
+    whether the new frame's camera is given."""
 
     def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
         super().__init__()
         size, render_size = (footage.width, footage.height), footage.render_size(window)
-        options = replace(options, upscale=footage.upscale if self.upscales else 0.0)
         self.pipeline = Pipeline(
             device, *size, options, render_size=render_size, fps=footage.fps, format=footage.encoding.format
         )
@@ -82,76 +80,62 @@ class PipelineRunner(DeviceRunner):
         return self.pipeline.present().numpy("color")
 
     def extrapolated(self, moment: Moment) -> ExtrapolatedFrame:
-        return self.pipeline.extrapolate(self.camera_of(moment), moment.time)
+        return self.pipeline.extrapolate(moment.camera if self._known else None, moment.time)
 
     def color_of(self, made: ExtrapolatedFrame) -> np.ndarray:
         return made.numpy("color")
 
-    def camera_of(self, moment: Moment):
-        """Return the camera of the new frame; None: the pipeline predicts it."""
-        return moment.camera if self._known else None
+    def _taken(self) -> float:
+        return sum(self.pipeline.take_timings().values())
 
-    def pipelines(self) -> tuple[Pipeline, ...]:
-        return (self.pipeline,)
+
+class DilateSplat(DeviceRunner):
+    """Continues motion vectors of t at constant speed, in the manner of Mob-FGSR (Yang et al., SIGGRAPH 2024): see
+    `kernels/baselines/dilate_splat.cl`. `int64`: whether kernels use 64-bit atomics (None: where the
+    device has them); results have the same bits without. Frames of NumPy arrays are uploaded when they are
+    submitted."""
+
+    def __init__(self, footage: Footage, device: Device, int64: bool | None = None):
+        super().__init__()
+        int64 = device.int64_atomics if int64 is None else int64
+        self._device, self._width, self._height = device, footage.width, footage.height
+        self._program = build(device, "baselines/dilate_splat", **({"INT64_ATOMICS": 1} if int64 else {}))
+        self._passes = 1 if int64 else 2
+        pixels = self._width * self._height
+        self._offers = [device.buffer(8 * pixels)] if int64 else [device.buffer(4 * pixels) for _ in range(2)]
+        self._color = device.buffer(8 * pixels)
+        self._events: deque[cl.Event] = deque(maxlen=_EVENTS)
+
+    def submit(self, shot: Shot) -> None:
+        super().submit(shot)
+        on_device = isinstance(shot.frame.color, cl.Buffer)
+        self._frame = shot.frame if on_device else uploaded(self._device, shot.frame)
+
+    def extrapolated(self, moment: Moment) -> cl.Buffer:
+        """Enqueue the work for a moment and return the buffer of its color, half ×4; it holds until the next call."""
+        frame = self._frame
+        values = {"width": self._width, "height": self._height, "alpha": moment.alpha}
+        values |= {"depth": frame.depth, "motion": frame.motion, "color": frame.color, "out_color": self._color}
+        values |= {"keys": self._offers[0], "winners": self._offers[-1]}
+        for buffer in self._offers:
+            self._events.append(cl.enqueue_fill_buffer(self._device.queue, buffer, b"\xff", 0, buffer.size))
+        for number in range(self._passes):
+            self._launch("splat", values | {"pass": number})
+        self._launch("warp", values)
+        return self._color
+
+    def color_of(self, made: cl.Buffer) -> np.ndarray:
+        color = np.empty((self._height, self._width, 4), np.float16)
+        cl.enqueue_copy(self._device.queue, color, made)
+        return color[..., :3]
+
+    def _launch(self, kernel: str, values: dict) -> None:
+        columns = -(-self._width // (self._device.lanes * _GROUP)) * _GROUP
+        size, group = (columns, self._height), (_GROUP, 1)
+        self._events.append(self._program.launch(self._device.queue, kernel, size, group, values))
 
     def _taken(self) -> float:
-        return sum(sum(pipeline.take_timings().values()) for pipeline in self.pipelines())
-
-
-class Resampled(PipelineRunner):
-    """Resamples rendered frames (cubic), and extrapolates new ones from them without upscaling."""
-
-    upscales = False
-
-
-class RenderedUpscaled(PipelineRunner):
-    """Upscales rendered frames alone; new ones are shown as they are extrapolated from the small frames."""
-
-    def color_of(self, made):
-        correction = self.pipeline.stages.get(ShadingCorrection.name)
-        return correction.read("color")[..., :3] if correction else made.numpy("gae")
-
-
-class UpscaledFirst(PipelineRunner):
-    """Upscales before extrapolation: new frames are extrapolated from upscaled frames, all at the display's size."""
-
-    def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
-        super().__init__(options, window, knows_camera, footage, device)
-        self._shown = Pipeline(device, footage.width, footage.height, options, fps=footage.fps)
-        self._shown.exposure = footage.exposure
-
-    def submit(self, shot):
-        super().submit(shot)
-        shown = self.pipeline.present()
-        buffers = (shown.numpy(name) for name in ("color", "depth", "motion"))
-        self._shown.submit(RenderedFrame(*buffers, camera=shown.camera, time=shown.time, reset=shot.frame.reset))
-
-    def extrapolated(self, moment):
-        return self._shown.extrapolate(self.camera_of(moment), moment.time)
-
-    def pipelines(self):
-        return self.pipeline, self._shown
-
-
-class TrueMotion(PipelineRunner):
-    """Pipeline with the true position of every fragment: an upper bound for position prediction."""
-
-    def extrapolated(self, moment):
-        assert moment.true_positions is not None  # see Method.needs
-        return self.pipeline.extrapolate(self.camera_of(moment), moment.time, target_position=moment.true_positions())
-
-
-class TrueGeometry(PipelineRunner):
-    """Upscaling with exact depth and motion of the new frame: its remaining error is not the warp's."""
-
-    def submit(self, shot):
-        super().submit(shot)
-        self._to_render = mapping(self.pipeline.shown_camera, shot.frame.camera)
-
-    def extrapolated(self, moment):
-        guide = moment.guide
-        assert guide is not None  # see Method.needs
-        here = pixel_centers(*guide.depth.shape)
-        place = (here + np.nan_to_num(guide.motion)) * self._to_render[:2] + self._to_render[2:]
-        geometry = guide.depth, (place - here).astype(np.float32)
-        return self.pipeline.extrapolate(self.camera_of(moment), moment.time, seen_through=geometry)
+        self._device.queue.finish()
+        events = list(self._events)
+        self._events.clear()
+        return sum(event.profile.end - event.profile.start for event in events) * 1e-6

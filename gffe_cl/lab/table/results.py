@@ -1,4 +1,4 @@
-"""Results of a filled table: one document, from which console, JSON, CSV, page and documentation are made."""
+"""Results of a filled table: one document, from which console, JSON, CSV and documentation are made."""
 
 from __future__ import annotations
 
@@ -7,7 +7,6 @@ import datetime
 import io
 import math
 import platform
-from collections.abc import Iterable
 from dataclasses import asdict, dataclass
 from importlib.metadata import PackageNotFoundError, version
 from typing import Any
@@ -16,9 +15,8 @@ import numpy as np
 
 from gffe_cl.lab.metrics import METRICS, RegionErrors
 from gffe_cl.lab.metrics.regions import REGIONS
-from gffe_cl.lab.table.jobs import Cell
+from gffe_cl.lab.table.cells import Cell, Filled
 from gffe_cl.lab.table.methods import FULL, GAINS
-from gffe_cl.lab.table.runner import Filled
 from gffe_cl.lab.table.videos import VIDEO_METRICS
 
 _PACKAGES = (
@@ -66,20 +64,12 @@ class Column:
 METRIC_COLUMNS = tuple(Column(m.name, m.title, m.digits, m.higher_is_better) for m in METRICS.values())
 AGAINST = Column("against", f"against {FULL}, dB", 2, True)
 FLICKER = Column("flicker", "flicker, %", 2, False)
-RENDERED_COLUMNS = tuple(  # of rendered frames, where they are upscaled
-    Column(f"rendered_{m}", f"rendered: {METRICS[m].title}", METRICS[m].digits, True) for m in ("psnr", "ssim")
-)
-UI_COLUMNS = (  # where a user interface is in the color
-    Column("ui_psnr", "in the user interface: PSNR, dB", 2, True),
-    Column("scene_psnr", "outside of it: PSNR, dB", 2, True),
-)
 VIDEO_COLUMNS = tuple(
     Column(m.name, f"{m.label}, {m.unit}" if m.unit else m.label, m.digits, m.higher_is_better)
     for m in VIDEO_METRICS.values()
 )
-COST = (Column("milliseconds", "ms", 1, False), Column("bytes_per_pixel", "B/px", 0, False))
-_PICTURE = (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], *RENDERED_COLUMNS, *UI_COLUMNS, FLICKER)
-COLUMNS = {c.name: c for c in (*_PICTURE, *VIDEO_COLUMNS, *COST)}
+TIME = Column("milliseconds", "ms", 1, False)
+COLUMNS = {c.name: c for c in (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], FLICKER, *VIDEO_COLUMNS, TIME)}
 
 
 def results_of(filled: Filled, late: dict[float, Filled] | None = None, command: str = "") -> dict:
@@ -203,17 +193,15 @@ def to_csv(results: dict) -> str:
 
 def _cell(sequence: str, method: str, cell: Cell) -> dict:
     document, timing = cell.document, cell.timing or {}
-    figures = {column.name: _finite(_average(cell, column.name)) for column in (*METRIC_COLUMNS, *UI_COLUMNS)}
+    figures = {column.name: _finite(_average(cell, column.name)) for column in METRIC_COLUMNS}
     regions = {
         region: {name: _finite(value) for name, value in values.items()}
         for region, values in cell.errors.figures().items()
         if region != "whole"
     }
-    cost = {name: timing.get(name) for name in ("milliseconds", "bytes_per_pixel")}
-    timed = {"timed": timing.get("of"), "timed_on": timing.get("machine")}
-    whole = {"sequence": sequence, "method": method, **figures, "flicker": document["flicker"]}
-    whole |= document["rendered"] | document["videos"]
-    return whole | cost | timed | {"regions": regions, "frames": document["frames"]}
+    timed = {"milliseconds": timing.get("milliseconds"), "timed": timing.get("of"), "timed_on": timing.get("machine")}
+    whole = {"sequence": sequence, "method": method, **figures, "flicker": document["flicker"]} | document["videos"]
+    return whole | timed | {"regions": regions, "frames": document["frames"]}
 
 
 def _mean(name: str, cells: list[dict], filled: Filled, names: list[str]) -> dict | None:
@@ -260,8 +248,7 @@ def _skipped(filled: Filled) -> list[dict]:
         reasons.setdefault((method, reason), []).append(sequence)
     for cell in filled.cells.values():
         for name, reason in cell.document["skipped"].items():
-            label = VIDEO_METRICS[name].label
-            reasons.setdefault((label, reason.removeprefix(f"{label} ")), [])
+            reasons.setdefault((VIDEO_METRICS[name].label, reason), [])
     reasons |= {(name, reason): [] for name, reason in filled.broken.items()}
     return [{"what": what, "reason": reason, "sequences": where} for (what, reason), where in reasons.items()]
 
@@ -279,9 +266,3 @@ def _finite(value: float) -> float | None:
 def columns_of(results: dict) -> list[Column]:
     """Return the columns that have figures."""
     return [COLUMNS[column["name"]] for column in results["columns"]]
-
-
-def ranked(rows: Iterable[dict], column: Column) -> list[dict]:
-    """Return the rows, best first; rows without a figure last."""
-    sign = -1 if column.higher_is_better else 1
-    return sorted(rows, key=lambda row: (row.get(column.name) is None, sign * (row.get(column.name) or 0)))

@@ -65,7 +65,7 @@ def measured_or_reason(
     try:
         return metric.measure(shown, truth, fps), None
     except ModuleNotFoundError as error:
-        return None, f"{metric.label} needs {error.name}: {how_to_install('metrics')}"
+        return None, f"needs {error.name}: {how_to_install('metrics')}"
     except Exception as error:  # whatever other people's packages throw: weights that cannot be fetched, above all
         text = " ".join(str(error).split())[:160] or type(error).__name__
-        return None, f"{metric.label} cannot run here: {text}"
+        return None, f"cannot run here: {text}"

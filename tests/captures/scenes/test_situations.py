@@ -9,7 +9,7 @@ from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneFrames, SceneRender
 from gffe_cl.captures.scenes.scene_types import LightFlicker
 from gffe_cl.captures.scenes.situations import BUILDERS
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.lab.table.datasets import parse_subject
+from gffe_cl.lab.table.footage import parse_subject
 
 W, H = 64, 36
 TIME, STEP = 0.7, 1 / 30

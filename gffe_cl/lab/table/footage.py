@@ -1,4 +1,5 @@
-"""Subjects of evaluation: built-in scenes and sequences on disk, as rendered frames with the truth at moments between.
+"""Subjects of evaluation: built-in scenes and sequences on disk, as rendered frames with the truth at moments between,
+and the regions of these.
 
 A `SceneSubject` or `FolderSubject` is a description: it can be sent to another process, and its `identity`
 distinguishes it from all others without rendering or decoding anything. `open_subject` opens its `Footage`.
@@ -8,7 +9,7 @@ from __future__ import annotations
 
 import hashlib
 import os
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
@@ -19,7 +20,6 @@ from gffe_cl.captures.formats import open_capture
 from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.scenes import (
     EncodedFrames,
-    Scene,
     SceneFrames,
     SceneRenderer,
     is_scene,
@@ -34,22 +34,25 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.lab.compare import NO_HISTORY
-from gffe_cl.lab.table.image_space import pixel_centers
-from gffe_cl.lab.table.windows import chooser_of, rendered_size
+from gffe_cl.lab.metrics import focus_mask
+from gffe_cl.lab.metrics.regions import labels_of, same_surface, shows, steps, world_positions
 
 _MOST_KEPT = 3 << 30  # bytes of footage that stay in memory
 _BYTES_PER_PIXEL = 45  # of a rendered frame and a moment
+_MOVES = 0.5  # pixels from which a surface counts as moving by itself
+_MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in some pixel
 
 
 @dataclass(frozen=True)
 class SceneSubject:
     """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
-    views at their own time from a camera that has turned by so many degrees (late warp). With `upscale` frames are
-    rendered so many times smaller, each way, with jitter and one sample per pixel. With `turn_rate` the camera turns to
-    the right, by so many degrees per second, and back after half of the frames. The first frame is number `start`.
-    Frames are stored by `encoding`, a text as of `Encoding.parse`."""
+    views at their own time from a camera that has turned by so many degrees (late warp). Frames are stored by
+    `encoding`, a text as of `Encoding.parse`."""
 
     scene: str
     seed: int
@@ -59,9 +62,6 @@ class SceneSubject:
     fps: float
     alphas: tuple[float, ...]
     turns: tuple[float, ...] = ()
-    upscale: float = 0.0
-    turn_rate: float = 0.0
-    start: int = 0
     encoding: str = ""
 
     @property
@@ -86,13 +86,11 @@ class SceneSubject:
 
 @dataclass(frozen=True)
 class FolderSubject:
-    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. `upscale`: the
-    factor by which its frames were rendered smaller, if they go through upscaling. Frames are stored by `encoding`, a
-    text as of `Encoding.parse`."""
+    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. Frames are
+    stored by `encoding`, a text as of `Encoding.parse`."""
 
     path: str
     moments: int
-    upscale: float = 0.0
     encoding: str = ""
 
     @property
@@ -114,7 +112,7 @@ class FolderSubject:
         for path in sorted(p for p in root.rglob("*") if p.is_file()):
             with path.open("rb") as file:
                 total.update(os.fsencode(path.relative_to(root)) + b"\0" + hashlib.file_digest(file, "sha256").digest())
-        return {"folder": total.hexdigest(), "upscale": self.upscale, "encoding": self.encoding}
+        return {"folder": total.hexdigest(), "encoding": self.encoding}
 
 
 Subject = SceneSubject | FolderSubject
@@ -140,9 +138,7 @@ class Guide:
 @dataclass(frozen=True)
 class Moment:
     """A time at which a new frame is made: `time` in seconds, `alpha` in intervals after the rendered frame; `camera`
-    of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps; `true_positions`,
-    with a guide: function that computes where every fragment of the rendered frame is then, for `target_position` of
-    `extrapolate`."""
+    of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps."""
 
     time: float
     alpha: float
@@ -150,7 +146,6 @@ class Moment:
     truth: np.ndarray
     guide: Guide | None = None
     turn: float = 0.0
-    true_positions: Callable[[], np.ndarray] | None = None
 
 
 @dataclass(frozen=True)
@@ -167,24 +162,20 @@ class Shot:
 
 class Footage:
     """Rendered frames and moments of a subject. `exact`: whether moments have a `Guide`, of which rendered frames are
-    the exact surfaces; `windows`: whether frames can be rendered through a window of choice; `upscale`: as of the
-    subject; `encoding`: by which frames are stored; `labels`: of each moment in order (`regions`), filled in by callers
-    that need them."""
+    the exact surfaces; `windows`: whether frames can be rendered through a window of choice; `encoding`: how frames are
+    stored; `labels`: of each moment in order (`regions`), filled in by callers that need them."""
 
     exact = windows = False
 
-    def __init__(
-        self, name: str, width: int, height: int, fps: float, exposure: float, upscale: float = 0.0,
-        encoding: Encoding = EXACT,
-    ):  # fmt: skip
+    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float, encoding: Encoding = EXACT):
         self.name, self.width, self.height, self.fps, self.exposure = name, width, height, fps, exposure
-        self.upscale, self.encoding = upscale, encoding
+        self.encoding = encoding
         self.labels: list[np.ndarray] = []
         self._kept: dict[str, list[Shot]] = {}
 
     def shots(self, window: str = "off") -> Iterator[Shot]:
-        """Yield the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded, small
-        ones with upscaling; or, if `windows` are available, any other mode of `WindowChooser`."""
+        """Yield the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded; or,
+        if `windows` are available, any other mode of `WindowChooser`."""
         if window in self._kept:
             yield from self._kept[window]
             return
@@ -202,11 +193,6 @@ class Footage:
         """Return width and height of the frames of `shots(window)`, pixels."""
         return self.width, self.height
 
-    @property
-    def knows_rendered(self) -> bool:
-        """Whether `Shot.shown` is a reference for rendered frames: not if it is a small one, resampled."""
-        return self.exact or not self.upscale
-
     def _make(self, window: str) -> Iterator[Shot]:
         raise NotImplementedError
 
@@ -214,36 +200,21 @@ class Footage:
 class _Scene(Footage):
     def __init__(self, subject: SceneSubject, device: Device):
         self._scene, self._device = load_scene(subject.scene, subject.seed), device
-        if subject.turn_rate:
-            self._scene = turning(self._scene, subject.turn_rate, subject.frames // 2 / subject.fps)
         self._subject = subject
         size = (subject.width, subject.height)
         self.exact = self.windows = subject.exact
         encoding = Encoding.parse(subject.encoding) if subject.encoding else EXACT
-        super().__init__(subject.name, *size, subject.fps, self._scene.exposure, subject.upscale, encoding)
+        super().__init__(subject.name, *size, subject.fps, self._scene.exposure, encoding)
         self._renderer = SceneRenderer(device, self._scene, *size)
-        self._small = SceneFrames.for_upscaling(device, self._scene, size, subject.upscale) if subject.upscale else None
-
-    def render_size(self, window):
-        if self._small is None or window != "given":
-            return rendered_size(window, (self.width, self.height))
-        return self._small.render_size
 
     def shots(self, window="off"):
-        return super().shots("off" if window == "given" and not self.upscale else window)
+        return super().shots("off" if window == "given" else window)
 
     def _make(self, window):
         size = (self.width, self.height)
-        if window == "given":
-            assert self._small is not None  # else no window is given
-            frames = self._small
-        else:
-            renderer = self._renderer
-            if (larger := self.render_size(window)) != size:
-                renderer = SceneRenderer(self._device, self._scene, *larger)
-            frames = SceneFrames(renderer, chooser_of(window, size, self._subject.alphas), size)
+        frames = SceneFrames(self._renderer, WindowChooser(window, size, self._subject.alphas), size)
         frames = frames if self.exact else EncodedFrames(frames, self.encoding)
-        rendered = frames.sequence(self._subject.frames + 1, self.fps, self._subject.start / self.fps)
+        rendered = frames.sequence(self._subject.frames + 1, self.fps)
         for (frame, following), (shown, moments, moving) in zip(pairwise(rendered), self._reference(), strict=False):
             yield Shot(frame, shown if self.exact else frame.color, moments, following, moving)
 
@@ -253,12 +224,12 @@ class _Scene(Footage):
         if "off" in self._kept:
             yield from ((shot.shown, shot.moments, shot.moving) for shot in self._kept["off"])
             return
-        before, start = None, self._subject.start
-        for k in range(start, start + self._subject.frames):
+        before = None
+        for k in range(self._subject.frames):
             now = k / self.fps, self._scene.camera(k / self.fps, self.width, self.height)
             image = self._renderer.render(*now, *(before or now)).numpy()
             moving = moving_pixels(image.motion, image.depth, now[1], (before or now)[1])
-            times = self._times(k) if k >= start + NO_HISTORY else []
+            times = self._times(k) if k >= NO_HISTORY else []
             yield image.color, tuple(self._moment(*now, *at) for at in times), moving
             before = now
 
@@ -275,20 +246,16 @@ class _Scene(Footage):
         z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
         z = np.where(np.isfinite(image.motion).all(-1), z, np.nan).astype(np.float32)
         guide = Guide(image.depth, image.motion, z, moving)
-
-        def true_positions() -> np.ndarray:
-            return _positions(self._renderer.render(source_time, source, time, camera).numpy())
-
         color = self.encoding.truth(image.color, self.exposure)
-        return Moment(time, alpha, camera, color, guide if self.exact else None, turn, true_positions)
+        return Moment(time, alpha, camera, color, guide if self.exact else None, turn)
 
 
 class _Folder(Footage):
     def __init__(self, subject: FolderSubject, device: Device):
         self._sequence = s = open_capture(subject.path)
         encoding = Encoding.parse(subject.encoding) if subject.encoding else EXACT
-        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, subject.upscale, encoding)
-        self._sources = {"off": Recorded(s, device, "off"), "given": Recorded(s, device, upscale=subject.upscale)}
+        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, encoding)
+        self._sources = {"off": Recorded(s, device, "off"), "given": Recorded(s, device)}
 
     def render_size(self, window):
         return self._sources[window].render_size
@@ -320,9 +287,6 @@ def at_full_size(shot: Shot) -> Shot:
     return replace(shot, **{name: described_frame(found, plain, None, (0.0, 0.0)) for name, found in frames.items()})
 
 
-_MOVES = 0.5  # pixels from which a surface counts as moving by itself
-
-
 def open_subject(subject: Subject, device: Device) -> Footage:
     """Return the subject's footage. Nothing is rendered or decoded before it is requested."""
     return _Scene(subject, device) if isinstance(subject, SceneSubject) else _Folder(subject, device)
@@ -334,24 +298,17 @@ def parse_subject(
     frames: int,
     fps: float,
     alphas: tuple[float, ...],
-    *,
-    upscale: float = 0.0,
-    turn_rate: float = 0.0,
     encoding: str = "",
 ) -> Subject:
     """Return the subject of a text: "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder
-    without ground truth, of frames that are not `upscale` times smaller than that, or for which `encoding` needs a
-    renderer."""
+    without ground truth, or for which `encoding` needs a renderer."""
     parsed = Encoding.parse(encoding) if encoding else EXACT
-    if encoding and upscale:
-        raise GffeError("--upscale and --encode exclude each other")
     name, colon, seed = text.partition(":")
     if is_scene(text) or (is_scene_name(name) and colon and not Path(text).exists()):
         if colon and not seed.isdigit():
             raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
         load_scene(name, int(seed or 0))
-        own = {"upscale": upscale, "turn_rate": turn_rate, "encoding": encoding}
-        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), **own)
+        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), encoding=encoding)
     if not Path(text).exists():
         raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
     if parsed.is_rendered or parsed.looks_up_twice:
@@ -363,15 +320,10 @@ def parse_subject(
             f"{text}: no ground truth between rendered frames with history, nothing to measure against"
             " (expected frames of kind ground_truth, as `gffe render --ground-truth` writes)"
         )
-    recorded = Recorded(sequence, None, upscale=upscale)
-    if (recorded.width, recorded.height) != (sequence.width, sequence.height):
-        raise GffeError(
-            f"{text}: its frames are as large as its ground truth, {sequence.width}×{sequence.height} (expected smaller"
-            " ones for --upscale, as `gffe render --scale` writes)"
-        )
+    recorded = Recorded(sequence, None)
     if parsed.is_on_display and recorded.windowed:
         raise GffeError(f"{text}: --encode {encoding} needs frames that are displayed as they were rendered")
-    return FolderSubject(text, count, upscale, encoding)
+    return FolderSubject(text, count, encoding)
 
 
 def truths_after(sequence: Sequence) -> dict[int, list[FrameEntry]]:
@@ -401,29 +353,6 @@ def turned(camera: Camera, degrees: float) -> Camera:
     return Camera(turn @ camera.world_to_view, *camera.intrinsics)
 
 
-def turning(scene: Scene, rate: float, half: float) -> Scene:
-    """Return the same scene with a camera that turns to the right by `rate` degrees per second until `half` (seconds),
-    then back."""
-    forward = scene.target(0.0) - scene.eye(0.0)
-    start = np.arctan2(forward[0], -forward[2])
-    level = np.hypot(forward[0], forward[2])
-
-    def target(time):
-        angle = start + np.radians(rate) * (half - abs(half - time))
-        return scene.eye(time) + np.array((level * np.sin(angle), forward[1], -level * np.cos(angle)))
-
-    return replace(scene, target=target)
-
-
-def _positions(future) -> np.ndarray:
-    """Return `target_position` (H, W, 4) float32 of every fragment, of a rendering whose `other` is the target."""
-    position = np.zeros((*future.depth.shape, 4), np.float32)
-    position[..., :2] = pixel_centers(*future.depth.shape) + future.motion
-    position[..., 2] = future.other_position[..., 2]
-    position[~np.isfinite(position[..., :2]).all(-1)] = (0, 0, -1, 0)
-    return position
-
-
 def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:
     """Return (H, W) bool: where `motion` (pixels, from `camera` to `other`) is not that of a static point at
     `depth`."""
@@ -436,3 +365,80 @@ def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: 
 def _world(camera: Camera, depth: np.ndarray) -> np.ndarray:
     """Return the world positions (H, W, 3) of pixels; sky is put very far away."""
     return camera.unproject(pixel_centers(*depth.shape), np.where(np.isfinite(depth), depth, 1e7))
+
+
+def pixel_centers(height: int, width: int) -> np.ndarray:
+    """Return the pixel centers (H, W, 2) float32: x, y."""
+    y, x = np.mgrid[:height, :width].astype(np.float32) + np.float32(0.5)
+    return np.stack([x, y], -1)
+
+
+# ---- regions ----------------------------------------------------------------------------------------------------
+
+
+def find_labels(footage: Footage, device: Device) -> Iterator[np.ndarray]:
+    """Yield the labels of every moment in order: (H, W) uint8, indices into `REGIONS`."""
+    size, more = (footage.width, footage.height), {"fps": footage.fps, "format": footage.encoding.format}
+    gae = Pipeline(device, *size, Options(shading_correction=False, overlays=False), **more)
+    still = Options(motion=False, levels=0, shading_correction=False, overlays=False)
+    static = None if footage.exact else Pipeline(device, *size, still, **more)
+    for shot in footage.shots():
+        for pipeline in filter(None, (gae, static)):
+            pipeline.submit(shot.frame)
+        for moment in shot.moments:
+            made = gae.extrapolate(moment.camera, moment.time)
+            found = {name: made.numpy(name) for name in ("color", "depth", "dynamic", "disoccluded")}
+            if moment.guide:
+                parts = exact_parts(shot, moment.guide)
+            else:
+                assert static is not None
+                seen = static.extrapolate(moment.camera, moment.time).numpy("disoccluded")
+                parts = _found_parts(shot, found, seen != 0, made.camera)
+            moving = parts["dynamic"]
+            parts["focus"] = focus_mask(found["color"], moment.truth, moving, footage.exposure)
+            yield labels_of(parts)
+
+
+def exact_parts(shot: Shot, guide: Guide) -> dict[str, np.ndarray]:
+    """Return masks from the renderer, all except "focus" and "rest". `shot` is without a window."""
+    height, width = guide.depth.shape
+    with np.errstate(invalid="ignore"):
+        place = pixel_centers(height, width) + guide.motion
+        inside = (place >= 0).all(-1) & (place < (width, height)).all(-1) & ~np.isnan(guide.source_depth)
+    place = np.where(inside[..., None], place, 0.5)
+    visible = np.zeros_like(inside)
+    low = np.floor(place - 0.5)
+    part = place - 0.5 - low
+    for tap in range(4):
+        dx, dy = tap & 1, tap >> 1
+        weight = np.where(dx, part[..., 0], 1 - part[..., 0]) * np.where(dy, part[..., 1], 1 - part[..., 1])
+        x = np.clip(low[..., 0].astype(int) + dx, 0, width - 1)
+        y = np.clip(low[..., 1].astype(int) + dy, 0, height - 1)
+        visible |= (weight >= _MUCH) & same_surface(shot.frame.depth[y, x], guide.source_depth)
+    hidden = inside & ~visible
+    nearest = place.astype(int)
+    assert shot.moving is not None  # where there are guides
+    behind_mover = shot.moving[nearest[..., 1], nearest[..., 0]]
+    return {
+        "out of screen": ~inside,
+        "static disocclusion": hidden & ~behind_mover,
+        "dynamic disocclusion": hidden & behind_mover,
+        "silhouettes": steps(guide.depth),
+        "dynamic": guide.moving,
+    }
+
+
+def _found_parts(shot: Shot, found: dict, static_holes: np.ndarray, camera: Camera) -> dict[str, np.ndarray]:
+    """Return the masks of `exact_parts` by the pipeline's own buffers. `static_holes`: disocclusions if everything
+    counts as static."""
+    holes = found["disoccluded"] != 0
+    height, width = holes.shape
+    outside = np.zeros_like(holes)
+    outside[holes] = ~shows(shot.frame.camera, width, height, world_positions(camera, found["depth"], holes))
+    return {
+        "out of screen": outside,
+        "static disocclusion": holes & static_holes,
+        "dynamic disocclusion": holes,
+        "silhouettes": steps(found["depth"]),
+        "dynamic": found["dynamic"] != 0,
+    }

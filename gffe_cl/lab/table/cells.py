@@ -1,0 +1,387 @@
+"""Cells of the table: a method on a sequence, run, measured and timed; and the cache of them on disk.
+
+Cells are found by a hash of everything that they depend on, and are always complete on disk.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+import os
+import statistics
+import time
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import asdict, dataclass, field, replace
+from functools import cache, lru_cache
+from importlib.resources import files
+from pathlib import Path
+
+import numpy as np
+
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import read_bounded, replacing
+from gffe_cl.engine.opencl.device import Device, open_device
+from gffe_cl.engine.opencl.program import kernel_folder
+from gffe_cl.lab.metrics import RegionErrors, measurable, to_display
+from gffe_cl.lab.metrics.flicker import Flicker
+from gffe_cl.lab.metrics.regions import REGIONS, masks
+from gffe_cl.lab.table.footage import Footage, Shot, Subject, at_full_size, find_labels, open_subject
+from gffe_cl.lab.table.methods import Method, chosen_methods
+from gffe_cl.lab.table.pipelines import DeviceRunner, PipelineRunner
+from gffe_cl.lab.table.videos import VIDEO_METRICS, measured_or_reason
+
+_VERSION = 3
+_MOST_BYTES = 64 << 20  # of a file
+_USED = ("engine", "captures", "lab")  # the wings that figures depend on
+
+
+@dataclass
+class Cell:
+    """Stored result of a cell: `document` for JSON, and `timing`, which belongs to a machine."""
+
+    document: dict
+    timing: dict | None = None
+
+    @property
+    def errors(self) -> RegionErrors:
+        """Errors by region, pooled over frames."""
+        return RegionErrors(**self.document["errors"])
+
+
+# ---- computing ---------------------------------------------------------------------------------------------------
+
+
+@lru_cache(maxsize=1)
+def _device(name: str | None) -> Device:
+    return open_device(name, profiling=True)
+
+
+@lru_cache(maxsize=1)
+def _footage(subject: Subject, device: str | None) -> Footage:
+    """Return the footage of a subject. One at a time is cached: its cells are computed one after the other."""
+    footage = open_subject(subject, _device(device))
+    if subject.encoding:
+        footage.labels = _exact_labels(replace(subject, encoding=""), device)
+    else:
+        footage.labels = list(find_labels(footage, _device(device)))
+    return footage
+
+
+@lru_cache(maxsize=1)
+def _exact_labels(subject: Subject, device: str | None) -> list[np.ndarray]:
+    """Return labels of the frames before they are encoded: all encodings are measured in the same regions."""
+    return list(find_labels(open_subject(subject, _device(device)), _device(device)))
+
+
+def machine_of(device: str | None) -> str:
+    """Return the machine that times belong to."""
+    info = _device(device).info
+    return f"{info.name} ({info.platform})"
+
+
+def compute_cell(
+    subject: Subject,
+    method: str | None,
+    onnx: tuple[str, ...] = (),
+    videos: tuple[str, ...] = (),
+    device: str | None = None,
+    network: tuple[str | None, str | None] = (None, None),
+    on_moment: Callable[[], None] = lambda: None,
+) -> Cell:
+    """Return the cell of the method of that name; None for the values that all methods share. `videos`: names of
+    `VIDEO_METRICS` to measure in addition."""
+    footage = _footage(subject, device)
+    if method is None:
+        return _describe(footage)
+    chosen = chosen_methods([method], onnx, network)[method]
+    return _measure(footage, chosen, device, videos, on_moment)
+
+
+def _describe(footage: Footage) -> Cell:
+    """Return the description of a sequence, with the shares of the regions."""
+    counts = np.zeros(len(REGIONS), np.int64)
+    for labels in footage.labels:
+        counts += np.bincount(labels.ravel(), minlength=len(REGIONS))
+    document = {
+        "size": [footage.width, footage.height],
+        "exact": footage.exact,
+        "moments": len(footage.labels),
+        "shares": dict(zip(REGIONS, (counts / max(counts.sum(), 1)).tolist(), strict=True)),
+    }
+    return Cell(document)
+
+
+def _measure(
+    footage: Footage, method: Method, device: str | None, videos: Iterable[str], on_moment: Callable[[], None]
+) -> Cell:
+    runner, clock, metrics, flicker = method.runner(footage, _device(device)), _Clock(), measurable(), Flicker()
+    frames, errors = [], []
+    shown_all: list[tuple[np.ndarray, np.ndarray, bool]] = []
+    for shot in footage.shots(method.window):
+        given = shot if isinstance(runner, PipelineRunner) else at_full_size(shot)
+        with _lap(clock.submits):
+            runner.submit(given)
+        if not shot.moments:
+            flicker.cut()
+            _finish(runner)
+            continue
+        in_order = not any(moment.turn for moment in shot.moments)
+        if in_order:
+            pair = _rendered_pair(footage, runner, shot)
+            flicker.add(*pair)
+            if videos:
+                shown_all.append((*pair, False))
+        for moment in shot.moments:
+            _finish(runner)
+            with _lap(clock.makes):
+                color = runner.make(moment)
+            shown, truth = (to_display(c, footage.exposure) for c in (color, moment.truth))
+            one = RegionErrors()
+            one.add(shown, truth, masks(footage.labels[len(errors)]), metrics)
+            errors.append(one)
+            row = {metric.name: _number(one.figure(metric.name, "whole")) for metric in metrics}
+            row["flicker"] = flicker.add(shown, truth) if in_order else None
+            frames.append({"time": moment.time, "alpha": moment.alpha, "turn": moment.turn} | row)
+            if videos:
+                shown_all.append((shown, truth, True))
+            on_moment()
+    figures, skipped = _videos(videos, shown_all, footage)
+    document = {
+        "frames": frames,
+        "errors": asdict(RegionErrors.pooled(errors)),
+        "flicker": _number(flicker.mean),
+        "videos": figures,
+        "skipped": skipped,
+    }
+    return Cell(document, {"machine": machine_of(device)} | clock.timing(runner))
+
+
+def _rendered_pair(footage: Footage, runner, shot: Shot) -> tuple[np.ndarray, np.ndarray]:
+    """Return display values of a rendered frame as the method shows it, and as it is."""
+    truth = to_display(shot.shown, footage.exposure)
+    shown = to_display(runner.present(), footage.exposure) if isinstance(runner, PipelineRunner) else truth
+    return shown, truth
+
+
+def _videos(names: Iterable[str], frames: list[tuple], footage: Footage) -> tuple[dict, dict]:
+    figures, skipped = {}, {}
+    for name in names:
+        metric = VIDEO_METRICS[name]
+        used = [frame for frame in frames if frame[2] or not metric.generated_only]
+        shown, truth = ([frame[k] for frame in used] for k in (0, 1))
+        per_rendered = len(frames) / max(sum(not made for _, _, made in frames), 1)
+        value, reason = measured_or_reason(metric, shown, truth, footage.fps * per_rendered)
+        if reason:
+            skipped[name] = reason
+        else:
+            figures[name] = value
+    return figures, skipped
+
+
+@dataclass
+class _Clock:
+    """Milliseconds of wall time of submitting a rendered frame, and of making a new one."""
+
+    submits: list[float] = field(default_factory=list)
+    makes: list[float] = field(default_factory=list)
+
+    def timing(self, runner) -> dict:
+        """Return the milliseconds of one rendered frame with one new one: the median, and what they are of."""
+        if isinstance(runner, DeviceRunner):
+            return {"milliseconds": _median(runner.milliseconds[1:]), "of": "kernels and network"}
+        submit, make = _median(self.submits[1:]), _median(self.makes[1:])
+        return {"milliseconds": None if submit is None or make is None else submit + make, "of": "wall time"}
+
+
+@contextmanager
+def _lap(into: list[float]) -> Iterator[None]:
+    """Append the milliseconds that the block takes."""
+    start = time.perf_counter()
+    yield
+    into.append(1e3 * (time.perf_counter() - start))
+
+
+def _finish(runner) -> None:
+    """Wait until a device has finished its work for the rendered frame."""
+    if isinstance(runner, DeviceRunner):
+        runner.finish()
+
+
+def _median(values: list[float]) -> float | None:
+    return statistics.median(values) if values else None
+
+
+def _number(value: float | None) -> float | None:
+    """Return the value for JSON: None for NaN and infinity."""
+    return None if value is None or not math.isfinite(value) else float(value)
+
+
+# ---- cache -------------------------------------------------------------------------------------------------------
+
+
+class Cache:
+    """Cache of cells in the folder `path`, as files named by their keys. Raises GffeError where it cannot be written
+    to."""
+
+    def __init__(self, path: Path):
+        self.path = Path(path)
+        try:
+            self.path.mkdir(parents=True, exist_ok=True)
+        except OSError as error:
+            raise GffeError(f"{path}: cannot be made ({error.strerror or error})") from None
+
+    def read(self, key: str) -> Cell | None:
+        """Return the cell; None if it is not there, or damaged."""
+        try:
+            document = json.loads(read_bounded(self.path / f"{key}.json", _MOST_BYTES))
+            timing = document.pop("timing")
+        except (OSError, ValueError, KeyError, TypeError, AttributeError):
+            return None
+        return Cell(document, timing)
+
+    def write(self, key: str, cell: Cell) -> None:
+        try:
+            with replacing(self.path / f"{key}.json") as part:
+                part.write_text(json.dumps(cell.document | {"timing": cell.timing}, allow_nan=False), "utf-8")
+        except OSError as error:
+            raise GffeError(f"{self.path}: cannot be written to ({error.strerror or error})") from None
+
+
+def key_of(subject: dict, method: dict | None) -> str:
+    """Return the key of the cell of a method on a subject, by their identities and the sources of the program."""
+    known = {"version": _VERSION, "subject": subject, "method": method, "sources": sources(), "kernels": kernels()}
+    return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()[:32]
+
+
+@cache
+def sources() -> str:
+    """Return a hash of the modules that figures depend on."""
+    root = Path(str(files("gffe_cl")))
+    return _digest(path for wing in _USED for path in (root / wing).rglob("*.py"))
+
+
+def kernels() -> str:
+    """Return a hash of all kernel files."""
+    return _digest(path for path in kernel_folder().rglob("*") if path.suffix in (".cl", ".h"))
+
+
+def _digest(paths: Iterable[Path]) -> str:
+    total = hashlib.sha256()
+    for path in sorted(paths):
+        total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())
+    return total.hexdigest()
+
+
+# ---- filling -----------------------------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Work:
+    """A cell to compute; `method` None stands for the description of the sequence."""
+
+    subject: Subject
+    method: str | None
+    key: str
+
+
+@dataclass
+class Filled:
+    """The table: cells by (name of the sequence, name of the method), the description of each sequence, and reasons
+    for missing cells; `broken`: reasons by name for sequences that cannot be measured; `computed`: number of cells
+    not taken from the cache."""
+
+    methods: dict[str, Method]
+    subjects: list[Subject]
+    machine: str
+    cells: dict[tuple[str, str], Cell] = field(default_factory=dict)
+    described: dict[str, Cell] = field(default_factory=dict)
+    skipped: dict[tuple[str, str], str] = field(default_factory=dict)
+    broken: dict[str, str] = field(default_factory=dict)
+    computed: int = 0
+
+    def drop(self, name: str, reason: str) -> None:
+        """Leave out a sequence that cannot be measured."""
+        self.broken.setdefault(name, reason)
+        self.subjects = [subject for subject in self.subjects if subject.name != name]
+        self.described.pop(name, None)
+        for table in (self.cells, self.skipped):
+            for key in [key for key in table if key[0] == name]:
+                del table[key]
+
+
+@dataclass(frozen=True)
+class TableOrder:
+    """Requested evaluation. `methods`, `onnx`, `network` as of `chosen_methods`; `videos`: names of `VIDEO_METRICS`;
+    `recompute`: ignore cached cells."""
+
+    subjects: tuple[Subject, ...]
+    methods: tuple[str, ...] | None = None
+    onnx: tuple[str, ...] = ()
+    videos: tuple[str, ...] = ()
+    recompute: bool = False
+    network: tuple[str | None, str | None] = (None, None)
+
+
+def fill(
+    order: TableOrder,
+    folder: Path,
+    device: str | None = None,
+    on_plan: Callable[[int], Callable[[], None]] = lambda total: lambda: None,
+) -> Filled:
+    """Fill the table and return it; cells are cached in `folder`. `on_plan` takes the number of moments to come and
+    returns a function that is called after each of them. Finished cells survive an interrupt. Sequences with faults are
+    left out. Raises GffeError if all have faults."""
+    names = [subject.name for subject in order.subjects]
+    if len(set(names)) < len(names):
+        raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
+    methods = chosen_methods(order.methods, order.onnx, order.network)
+    filled = Filled(methods, list(order.subjects), machine_of(device))
+    cells, missing = Cache(folder), []
+    for subject in order.subjects:
+        try:
+            identity = subject.identity()
+        except OSError as error:
+            filled.drop(subject.name, f"{error.filename}: {error.strerror or error}")
+            continue
+        for name in (None, *methods):
+            method = methods[name] if name else None
+            if method and name and (reason := method.missing(subject)):
+                filled.skipped[subject.name, name] = reason
+                continue
+            work = Work(subject, name, key_of(identity, method and method.identity()))
+            cell = None if order.recompute else cells.read(work.key)
+            if cell and set(order.videos if method else ()) <= _tried(cell):
+                _take(filled, work, cell)
+            else:
+                missing.append(work)
+    advance = on_plan(sum(work.subject.moments for work in missing if work.method))
+    for work in missing:
+        if work.subject.name in filled.broken:
+            continue
+        try:
+            cell = compute_cell(
+                work.subject, work.method, order.onnx, order.videos, device, order.network, on_moment=advance
+            )
+        except GffeError as error:
+            filled.drop(work.subject.name, str(error))
+            continue
+        cells.write(work.key, cell)
+        filled.computed += 1
+        _take(filled, work, cell)
+    if filled.broken and not filled.subjects:
+        raise GffeError("; ".join(f"{name}: {reason}" for name, reason in filled.broken.items()))
+    return filled
+
+
+def _tried(cell: Cell) -> set[str]:
+    """Return the names of the video metrics that were measured, or could not be."""
+    return {*cell.document.get("videos", {}), *cell.document.get("skipped", {})}
+
+
+def _take(filled: Filled, work: Work, cell: Cell) -> None:
+    if work.method is None:
+        filled.described[work.subject.name] = cell
+    else:
+        filled.cells[work.subject.name, work.method] = cell
