@@ -36,7 +36,7 @@ FLOORS = {
         ("selftest",),
     ),
     "captures": (
-        ("sequence", "video", "report_style"),
+        ("sequence", "video"),
         ("formats", "scenes"),
         ("offline", "doctor"),
     ),

@@ -99,11 +99,7 @@ def bench(
     else:
         opened = [open_device(device, profiling=True)]
     asked = _Asked(opened, subject, parsed, frame, repeats, options)
-    if host:
-        report = _bench_host(asked)
-    else:
-        report = _bench_times(asked, kernels)
-    write_json(json_path, report)
+    write_json(json_path, _bench_host(asked) if host else _bench_times(asked, kernels))
 
 
 @dataclass(frozen=True)

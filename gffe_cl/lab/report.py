@@ -6,8 +6,6 @@ from collections.abc import Iterable, Iterator
 
 import numpy as np
 
-from gffe_cl.captures.report_style import heat
-
 _MARGIN = 8
 _BAR = 28  # of a line of text
 _INK = (225, 225, 225)
@@ -51,7 +49,8 @@ def to_image(values: np.ndarray):
 def error_image(a: np.ndarray, b: np.ndarray, gain: float = 4.0) -> np.ndarray:
     """Return the mean absolute difference of display values times `gain`, on a black–red–yellow–white scale (H, W,
     3)."""
-    return heat(np.abs(a - b).mean(-1) * gain)
+    error = np.abs(a - b).mean(-1) * gain
+    return np.clip(np.stack([3 * error, 3 * error - 1, 3 * error - 2], -1), 0, 1)
 
 
 def side_by_side(pairs: Iterable[tuple[np.ndarray, np.ndarray]], labels: tuple[str, str]) -> Iterator[np.ndarray]:

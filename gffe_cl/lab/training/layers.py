@@ -155,7 +155,7 @@ class _Reader:
         return [made.layer for made in self._made]
 
     def _add(self, layer: Layer, sources: list[_Numbers]) -> _Numbers:
-        """Add a layer, and note the images that it reads."""
+        """Add a layer, note the images that it reads, and return its numbers."""
         channels = layer.channels
         _require(channels % BLOCK == 0, f"an image has {channels} channels (expected a multiple of {BLOCK})")
         for source in sources:
