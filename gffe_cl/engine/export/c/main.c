@@ -18,99 +18,29 @@
 
 #include "gffe.h"
 
-enum { MOST_PLATFORMS = 16, LINE = 8192, NAME = 256, SLOTS = 3, BUFFERS = 3 };
-static const char *const PARTS[BUFFERS] = {"color", "depth", "motion"};
-static const size_t BYTES[BUFFERS] = {8, 4, 8};
+enum { MOST_PLATFORMS = 16, LINE = 8192, NAME = 256, SLOTS = 3, PARTS = 4 };
+static const char *const parts[PARTS] = {"color", "depth", "motion", "filled_by"};
+static const size_t bytes[PARTS] = {8, 4, 8, 1};
 
-typedef struct example {
-    cl_context context;
-    cl_command_queue queue;
-    gffe *g;
-    const char *input, *output;
-    gffe_options options;
-    cl_mem slots[SLOTS][BUFFERS]; /* two of the last frames are in use while the next one is written */
-    int slot;
-    unsigned char *pixels;
-} example;
-
-static int failed(const char *what, const char *why) {
+static void need(int holds, const char *what, const char *why) {
+    if (holds) return;
     fprintf(stderr, "gffe_example: %s: %s\n", what, why);
-    return 0;
+    exit(2);
 }
-
-static size_t render_pixels(const example *e) {
-    return (size_t)e->options.render_width * (size_t)e->options.render_height;
-}
-
-static size_t display_pixels(const example *e) { return (size_t)e->options.width * (size_t)e->options.height; }
-
-/* ---- files -------------------------------------------------------------------------------------------- */
 
 static FILE *open_file(const char *folder, const char *name, const char *part, const char *mode) {
     char path[4 * NAME];
     FILE *file;
-    if (snprintf(path, sizeof path, "%s/%s%s%s", folder, name, *part ? "." : "", part) >= (int)sizeof path) return NULL;
+    need(snprintf(path, sizeof path, "%s/%s.%s", folder, name, part) < (int)sizeof path, name, "the path is too long");
     file = fopen(path, mode);
-    if (!file) failed(path, *mode == 'r' ? "cannot be read" : "cannot be written");
+    need(file != NULL, path, *mode == 'r' ? "cannot be read" : "cannot be written");
     return file;
 }
 
-static int read_part(example *e, const char *name, int part) {
-    const size_t nbytes = BYTES[part] * render_pixels(e);
-    FILE *file = open_file(e->input, name, PARTS[part], "rb");
-    size_t count;
-    if (!file) return 0;
-    count = fread(e->pixels, 1, nbytes, file);
-    fclose(file);
-    return count == nbytes ? 1 : failed(name, "the file is too short");
-}
-
-static int write_part(const example *e, const char *name, const char *part, const void *bytes, size_t nbytes) {
-    FILE *file = open_file(e->output, name, part, "wb");
-    size_t count;
-    if (!file) return 0;
-    count = fwrite(bytes, 1, nbytes, file);
-    return (fclose(file) == 0 && count == nbytes) ? 1 : failed(name, "cannot be written");
-}
-
-static double from_half(unsigned bits) {
-    const int exponent = (int)(bits >> 10 & 31u);
-    const double mantissa = bits & 1023u, sign = bits & 0x8000u ? -1 : 1;
-    return sign * (exponent ? ldexp(mantissa + 1024, exponent - 25) : ldexp(mantissa, -24));
-}
-
-/* Converts linear color to sRGB in place: three bytes per pixel. */
-static void to_display(unsigned char *pixels, size_t count) {
-    size_t k;
-    int c;
-    for (k = 0; k < count; ++k)
-        for (c = 0; c < 3; ++c) {
-            const unsigned char *half = pixels + 8 * k + 2 * c;
-            double value = from_half((unsigned)half[0] | (unsigned)half[1] << 8);
-            value = value > 0 ? (value < 1 ? value : 1) : 0;
-            value = value <= 0.0031308 ? 12.92 * value : 1.055 * pow(value, 1 / 2.4) - 0.055;
-            pixels[3 * k + (size_t)c] = (unsigned char)(value * 255 + 0.5);
-        }
-}
-
-static int write_picture(const example *e, const char *name, unsigned char *color) {
-    FILE *file = open_file(e->output, name, "ppm", "wb");
-    size_t count;
-    if (!file) return 0;
-    to_display(color, display_pixels(e));
-    fprintf(file, "P6\n%d %d\n255\n", e->options.width, e->options.height);
-    count = fwrite(color, 3, display_pixels(e), file);
-    return (fclose(file) == 0 && count == display_pixels(e)) ? 1 : failed(name, "cannot be written");
-}
-
-/* ---- OpenCL ------------------------------------------------------------------------------------------- */
-
-/* Opens the first device of the first platform whose name holds `wanted`, and returns whether that succeeded. */
-static int open_device(example *e, const char *wanted) {
+static cl_device_id open_device(const char *wanted) {
     cl_platform_id platforms[MOST_PLATFORMS];
     cl_device_id device = NULL;
     cl_uint count = 0, k;
-    cl_int error;
     if (clGetPlatformIDs(MOST_PLATFORMS, platforms, &count) != CL_SUCCESS) count = 0;
     for (k = 0; k < count && !device; ++k) {
         char name[NAME] = "";
@@ -118,148 +48,116 @@ static int open_device(example *e, const char *wanted) {
         if (strstr(name, wanted) && clGetDeviceIDs(platforms[k], CL_DEVICE_TYPE_ALL, 1, &device, NULL) != CL_SUCCESS)
             device = NULL;
     }
-    if (!device) return failed("OpenCL", "there is no such platform, or it has no device");
-    e->context = clCreateContext(NULL, 1, &device, NULL, NULL, &error);
-    if (e->context) e->queue = clCreateCommandQueue(e->context, device, 0, &error);
-    return e->queue ? 1 : failed("OpenCL", "the device cannot be opened");
+    need(device != NULL, "OpenCL", "there is no such platform, or it has no device");
+    return device;
 }
 
-static int open_pipeline(example *e) {
-    const size_t most = render_pixels(e) > display_pixels(e) ? render_pixels(e) : display_pixels(e);
-    int slot, part;
-    e->pixels = (unsigned char *)malloc(8 * most);
-    if (!e->pixels) return failed("memory", "there is too little");
-    for (slot = 0; slot < SLOTS; ++slot)
-        for (part = 0; part < BUFFERS; ++part) {
-            e->slots[slot][part] =
-                clCreateBuffer(e->context, CL_MEM_READ_ONLY, BYTES[part] * render_pixels(e), NULL, NULL);
-            if (!e->slots[slot][part]) return failed("device memory", "there is too little");
-        }
-    if (gffe_create(e->context, e->queue, &e->options, &e->g)) return failed("gffe_create", gffe_message(e->g));
-    return 1;
-}
-
-static void close_example(example *e) {
-    int slot, part;
-    gffe_destroy(e->g);
-    for (slot = 0; slot < SLOTS; ++slot)
-        for (part = 0; part < BUFFERS; ++part)
-            if (e->slots[slot][part]) clReleaseMemObject(e->slots[slot][part]);
-    if (e->queue) clReleaseCommandQueue(e->queue);
-    if (e->context) clReleaseContext(e->context);
-    free(e->pixels);
-}
-
-/* ---- frames ------------------------------------------------------------------------------------------- */
-
-static char *next_number(char *text, double *number) {
+static double next_number(char **text, const char *name) {
     char *end;
-    *number = strtod(text, &end);
-    return end == text ? NULL : end;
+    const double number = strtod(*text, &end);
+    need(end != *text, name, "its line in frames.txt has too few numbers");
+    *text = end;
+    return number;
 }
 
-/* Reads a camera, and returns where the text continues, or NULL. */
-static char *next_camera(char *text, gffe_camera *camera) {
-    double *intrinsics[4];
+static gffe_camera next_camera(char **text, const char *name) {
+    gffe_camera camera = {{{0, 0, 0, 0}, {0, 0, 0, 0}, {0, 0, 0, 0}, {0, 0, 0, 1}}, 0, 0, 0, 0};
     int k;
-    intrinsics[0] = &camera->fx;
-    intrinsics[1] = &camera->fy;
-    intrinsics[2] = &camera->cx;
-    intrinsics[3] = &camera->cy;
-    memset(camera, 0, sizeof *camera);
-    camera->world_to_view[3][3] = 1;
-    for (k = 0; k < 12 && text; ++k) text = next_number(text, &camera->world_to_view[k / 4][k % 4]);
-    for (k = 0; k < 4 && text; ++k) text = next_number(text, intrinsics[k]);
-    return text;
+    for (k = 0; k < 12; ++k) camera.world_to_view[k / 4][k % 4] = next_number(text, name);
+    camera.fx = next_number(text, name);
+    camera.fy = next_number(text, name);
+    camera.cx = next_number(text, name);
+    camera.cy = next_number(text, name);
+    return camera;
 }
 
-static int submit(example *e, const char *name, char *text) {
-    gffe_camera render, display;
-    double time = 0, reset = 0;
-    cl_mem *slot = e->slots[e->slot];
-    int part;
-    text = next_number(text, &time);
-    if (text) text = next_number(text, &reset);
-    if (text) text = next_camera(text, &render);
-    if (text) text = next_camera(text, &display);
-    if (!text) return failed(name, "the line is no 'frame NAME TIME RESET CAMERA CAMERA'");
-    e->slot = (e->slot + 1) % SLOTS;
-    for (part = 0; part < BUFFERS; ++part) {
-        if (!read_part(e, name, part)) return 0;
-        if (clEnqueueWriteBuffer(e->queue, slot[part], CL_TRUE, 0, BYTES[part] * render_pixels(e), e->pixels, 0, NULL,
-                                 NULL)
-            != CL_SUCCESS)
-            return failed(name, "cannot be copied to the device");
-    }
-    if (gffe_submit(e->g, slot[0], slot[1], slot[2], &render, &display, time, reset != 0))
-        return failed(name, gffe_message(e->g));
-    return 1;
-}
-
-static int make(example *e, const char *name, char *text) {
-    static const char *const parts[] = {"filled_by", "motion", "depth", "color"}; /* the picture is made of the last */
-    static const size_t bytes[] = {1, 8, 4, 8};
-    gffe_camera camera;
-    gffe_frame made;
-    double time = 0;
-    cl_mem memory[4];
+/* Writes linear color, four halves per pixel, as a picture in sRGB. */
+static void write_picture(FILE *file, const gffe_options *size, const unsigned short *color) {
     int k;
-    text = next_number(text, &time);
-    if (text) text = next_camera(text, &camera);
-    if (!text) return failed(name, "the line is no 'make NAME TIME CAMERA'");
-    if (gffe_extrapolate(e->g, &camera, time, &made)) return failed(name, gffe_message(e->g));
-    memory[0] = made.filled_by;
-    memory[1] = made.motion;
-    memory[2] = made.depth;
-    memory[3] = made.color;
-    for (k = 0; k < 4; ++k) {
-        const size_t nbytes = bytes[k] * display_pixels(e);
-        if (clEnqueueReadBuffer(e->queue, memory[k], CL_TRUE, 0, nbytes, e->pixels, 0, NULL, NULL) != CL_SUCCESS)
-            return failed(name, "cannot be read from the device");
-        if (!write_part(e, name, parts[k], e->pixels, nbytes)) return 0;
+    fprintf(file, "P6\n%d %d\n255\n", size->width, size->height);
+    for (k = 0; k < 4 * size->width * size->height; ++k) {
+        const int exponent = color[k] >> 10 & 31, mantissa = color[k] & 1023;
+        double value = exponent ? ldexp(mantissa + 1024, exponent - 25) : ldexp(mantissa, -24);
+        value = color[k] & 0x8000 ? 0 : fmin(value, 1);
+        value = value <= 0.0031308 ? 12.92 * value : 1.055 * pow(value, 1 / 2.4) - 0.055;
+        if (k % 4 < 3) fputc((int)(value * 255 + 0.5), file);
     }
-    return write_picture(e, name, e->pixels);
-}
-
-static int run_line(example *e, char *line) {
-    char what[NAME], name[NAME];
-    int used = 0;
-    if (sscanf(line, "%250s %250s%n", what, name, &used) != 2) return *line == '\n' || failed("frames.txt", line);
-    if (!strcmp(what, "frame")) return submit(e, name, line + used);
-    if (!strcmp(what, "make")) return make(e, name, line + used);
-    return failed("frames.txt", line);
-}
-
-static int run(example *e, const char *platform) {
-    char line[LINE];
-    int version = 0, good = 0;
-    FILE *file = open_file(e->input, "frames.txt", "", "r");
-    if (!file) return 0;
-    if (!fgets(line, sizeof line, file)
-        || sscanf(line, "gffe-raw %d %d %d %d %d %lf", &version, &e->options.width, &e->options.height,
-                  &e->options.render_width, &e->options.render_height, &e->options.fps)
-               != 6
-        || version != 1)
-        failed("frames.txt", "does not begin with 'gffe-raw 1 WIDTH HEIGHT RENDER_WIDTH RENDER_HEIGHT FPS'");
-    else
-        good = open_device(e, platform) && open_pipeline(e);
-    while (good && fgets(line, sizeof line, file)) good = run_line(e, line);
-    fclose(file);
-    return good;
 }
 
 int main(int count, char **arguments) {
-    example e;
-    int good;
-    memset(&e, 0, sizeof e);
-    if (count < 3) {
-        fprintf(stderr, "usage: gffe_example FRAMES OUT [PLATFORM]\n");
-        return 2;
+    char line[LINE], what[NAME], name[NAME];
+    cl_mem slots[SLOTS][PARTS - 1]; /* two of the last frames are in use while the next one is written */
+    gffe_options size = gffe_default_options(0, 0);
+    cl_device_id device;
+    cl_context context;
+    cl_command_queue queue;
+    size_t pixels, shown;
+    void *memory;
+    FILE *list;
+    gffe *g;
+    int version, part, slot = 0, used;
+
+    need(count > 2, "usage", "gffe_example FRAMES OUT [PLATFORM]");
+    list = open_file(arguments[1], "frames", "txt", "r");
+    need(fgets(line, sizeof line, list)
+             && sscanf(line, "gffe-raw %d %d %d %d %d %lf", &version, &size.width, &size.height, &size.render_width,
+                       &size.render_height, &size.fps) == 6
+             && version == 1,
+         "frames.txt", "does not begin with 'gffe-raw 1 WIDTH HEIGHT RENDER_WIDTH RENDER_HEIGHT FPS'");
+    device = open_device(count > 3 ? arguments[3] : "");
+    context = clCreateContext(NULL, 1, &device, NULL, NULL, NULL);
+    queue = context ? clCreateCommandQueue(context, device, 0, NULL) : NULL;
+    need(queue != NULL, "OpenCL", "the device cannot be opened");
+    need(!gffe_create(context, queue, &size, &g), "gffe_create", gffe_message(g));
+    pixels = (size_t)size.render_width * (size_t)size.render_height;
+    shown = (size_t)size.width * (size_t)size.height;
+    memory = malloc(8 * (pixels > shown ? pixels : shown));
+    need(memory != NULL, "memory", "there is too little");
+    for (slot = 0; slot < SLOTS; ++slot)
+        for (part = 0; part < PARTS - 1; ++part) {
+            slots[slot][part] = clCreateBuffer(context, CL_MEM_READ_ONLY, bytes[part] * pixels, NULL, NULL);
+            need(slots[slot][part] != NULL, "device memory", "there is too little");
+        }
+
+    while (fgets(line, sizeof line, list) && sscanf(line, "%250s %250s%n", what, name, &used) == 2) {
+        char *text = line + used;
+        const double time = next_number(&text, name);
+        FILE *file;
+        if (!strcmp(what, "frame")) {
+            const int reset = next_number(&text, name) != 0;
+            const gffe_camera render = next_camera(&text, name), display = next_camera(&text, name);
+            cl_mem *given = slots[++slot % SLOTS];
+            for (part = 0; part < PARTS - 1; ++part) {
+                file = open_file(arguments[1], name, parts[part], "rb");
+                need(fread(memory, bytes[part], pixels, file) == pixels, name, "the file is too short");
+                fclose(file);
+                need(!clEnqueueWriteBuffer(queue, given[part], CL_TRUE, 0, bytes[part] * pixels, memory, 0, NULL, NULL),
+                     name, "cannot be copied to the device");
+            }
+            need(!gffe_submit(g, given[0], given[1], given[2], &render, &display, time, reset), name, gffe_message(g));
+        } else {
+            const gffe_camera camera = next_camera(&text, name);
+            gffe_frame made;
+            need(!gffe_extrapolate(g, &camera, time, &made), name, gffe_message(g));
+            for (part = PARTS - 1; part >= 0; --part) { /* the picture is made of the last one */
+                const cl_mem from[PARTS] = {made.color, made.depth, made.motion, made.filled_by};
+                need(!clEnqueueReadBuffer(queue, from[part], CL_TRUE, 0, bytes[part] * shown, memory, 0, NULL, NULL),
+                     name, "cannot be read from the device");
+                file = open_file(arguments[2], name, parts[part], "wb");
+                need(fwrite(memory, bytes[part], shown, file) == shown && !fclose(file), name, "cannot be written");
+            }
+            file = open_file(arguments[2], name, "ppm", "wb");
+            write_picture(file, &size, (const unsigned short *)memory);
+            need(!fclose(file), name, "cannot be written");
+        }
     }
-    e.input = arguments[1];
-    e.output = arguments[2];
-    e.options = gffe_default_options(0, 0);
-    good = run(&e, count > 3 ? arguments[3] : "");
-    close_example(&e);
-    return good ? 0 : 2;
+
+    gffe_destroy(g);
+    for (slot = 0; slot < SLOTS; ++slot)
+        for (part = 0; part < PARTS - 1; ++part) clReleaseMemObject(slots[slot][part]);
+    clReleaseCommandQueue(queue);
+    clReleaseContext(context);
+    free(memory);
+    fclose(list);
+    return 0;
 }
