@@ -60,7 +60,7 @@ _HOME = {
     "adaptive_window": "engine.frame.window",
     "fixed_window": "engine.frame.window",
     "nearest_depth": "engine.frame.window",
-    "Jitter": "engine.frame.jitter",
+    "Jitter": "engine.frame.window",
 }
 
 __all__ = ["__version__", *_HOME]

@@ -17,11 +17,11 @@ from gffe_cl.engine.frame.conventions import motion_from_ndc as motion_from_ndc
 from gffe_cl.engine.frame.conventions import motion_from_unreal as motion_from_unreal
 from gffe_cl.engine.frame.conventions import motion_from_uv as motion_from_uv
 from gffe_cl.engine.frame.frame_format import FrameFormat as FrameFormat
-from gffe_cl.engine.frame.jitter import Jitter as Jitter
 from gffe_cl.engine.frame.rendered_frame import BadPixels as BadPixels
 from gffe_cl.engine.frame.rendered_frame import Overlays as Overlays
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame as RenderedFrame
 from gffe_cl.engine.frame.transfer_function import to_display as to_display
+from gffe_cl.engine.frame.window import Jitter as Jitter
 from gffe_cl.engine.frame.window import Window as Window
 from gffe_cl.engine.frame.window import adaptive_window as adaptive_window
 from gffe_cl.engine.frame.window import fixed_window as fixed_window

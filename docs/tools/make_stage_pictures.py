@@ -24,8 +24,8 @@ from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.background import REMEMBERED
-from gffe_cl.engine.stages.backward_blocks import BACKWARD
 from gffe_cl.engine.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, grid_of
+from gffe_cl.engine.stages.warp import BACKWARD
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import contact_sheet, error_image
 from gffe_cl.viewer.picture.colors import color_table

@@ -9,7 +9,6 @@ from __future__ import annotations
 
 import inspect
 import re
-import sys
 from collections.abc import Callable, Iterable, Mapping
 from types import FunctionType
 
@@ -21,13 +20,12 @@ from gffe_cl.captures.formats import FORMATS
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.cli.commands import app
 from gffe_cl.engine.options import HOLE_FILLINGS, OPTIONS, PRESETS, Option
-from gffe_cl.engine.pipeline.order import STAGES
+from gffe_cl.engine.pipeline.outputs import STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, RENDERED, BufferSpec
-from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.holes import FarSide, HoleFilling
-from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.stages.presentation import Composition, Presentation
 from gffe_cl.engine.stages.upload import Upload
 
 # Default hole filling, and the stages for NumPy arrays, a window, and overlays.
@@ -62,13 +60,10 @@ def stages_table() -> str:
     """Return every stage: the paper's section, its sentence, the buffers that its kernels read and write."""
     rows = []
     for stage in SHOWN:
-        module = sys.modules[stage.__module__].__doc__
-        paper = re.search(r"paper: (.*?)\)", module.replace("\n", " "))
         reads, writes = _accessed(stage, "reads"), _accessed(stage, "writes")
         reads = [name for name in reads if not name.startswith(f"{stage.name}.") or name.endswith("'")]
         about = _first_sentence(inspect.getdoc(stage))
-        sections = paper[1].replace("'", "") if paper else ""
-        rows.append((f"`{stage.name}`", sections, about, _quoted(reads), _quoted(writes)))
+        rows.append((f"`{stage.name}`", stage.paper, about, _quoted(reads), _quoted(writes)))
     return table(("stage", "the paper's section", "what it does", "reads", "writes"), rows)
 
 

@@ -73,7 +73,7 @@ def render(
     """
     from gffe_cl.captures.scenes import load_scene
     from gffe_cl.captures.scenes.render import render_sequence
-    from gffe_cl.engine.frame.jitter import Jitter
+    from gffe_cl.engine.frame.window import Jitter
     from gffe_cl.engine.opencl.device import open_device
 
     width, height = parse_size(size)

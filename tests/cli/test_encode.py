@@ -5,7 +5,7 @@ import numpy as np
 from gffe_cl.captures.scenes.sequences import JITTER_LENGTH
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.encoding import Encoding
-from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.window import Jitter
 
 SIZE = ("--size", "160x90")
 

@@ -7,7 +7,7 @@ import numpy as np
 from doctor_clips import H, W
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.window import Jitter
 from gffe_cl.lab.fault_injection import BREAKS, GAPS
 
 COUNT, FPS = 8, 30

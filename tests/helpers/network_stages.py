@@ -13,12 +13,9 @@ from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.convolutions import Convolutions
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.network_input import NetworkInput
-from gffe_cl.engine.stages.shading import ShadingInputs
-from gffe_cl.engine.stages.shading_flow import ShadingFlow
-from gffe_cl.engine.stages.shading_trend import ShadingTrend
+from gffe_cl.engine.stages.network import Convolutions, NetworkInput
+from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs, ShadingTrend
 
 SIZES = [(61, 37), (64, 48), (1, 5), (7, 1), (1, 1), (33, 66)]
 

@@ -5,7 +5,7 @@ from dataclasses import replace
 import numpy as np
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.window import Jitter
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 

@@ -20,7 +20,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.order import STAGES
+from gffe_cl.engine.pipeline.outputs import STAGES
 from gffe_cl.engine.stages.holes import FILLINGS
 from gffe_cl.engine.timing import bench as bench_module
 from gffe_cl.engine.timing import footage as timed_footage

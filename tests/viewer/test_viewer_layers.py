@@ -14,15 +14,13 @@ from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, LayerSpec, lay
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
-from gffe_cl.engine.stages.connectivity import Connectivity
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.history import HistoryTracking
+from gffe_cl.engine.stages.history import HistoryTracking, PositionPrediction
 from gffe_cl.engine.stages.holes import Downsampled
-from gffe_cl.engine.stages.network_input import NetworkInput
-from gffe_cl.engine.stages.prediction import PositionPrediction
+from gffe_cl.engine.stages.network import NetworkInput
 from gffe_cl.engine.stages.presentation import Presentation
-from gffe_cl.engine.stages.shading import ShadingInputs
-from gffe_cl.engine.stages.shading_flow import ShadingFlow
+from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs
+from gffe_cl.engine.stages.warp import Connectivity
 from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.display_settings import Looks

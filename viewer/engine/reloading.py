@@ -16,9 +16,8 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import Sizes
-from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.presentation import Presentation
+from gffe_cl.engine.stages.presentation import Composition, Presentation
 from gffe_cl.engine.stages.upload import Upload
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files

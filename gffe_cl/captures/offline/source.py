@@ -22,9 +22,8 @@ from gffe_cl.captures.sequence.read_ahead import read_ahead, usable_cores
 from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
-from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, display_camera_of, host_arrays
-from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.frame.window import WindowChooser, without_jitter
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.presentation import present
 

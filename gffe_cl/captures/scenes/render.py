@@ -12,9 +12,8 @@ from gffe_cl.captures.sequence.description import rendered_entry
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
 from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.frame.window import Jitter, WindowChooser
 from gffe_cl.engine.opencl.device import Device
 
 _MOST_SCALE = 4

@@ -13,9 +13,8 @@ from gffe_cl.captures.sequence.encoding import HALF, JITTERED, TAA, Encoding
 from gffe_cl.captures.sequence.post_effects import TemporalAntialiasing
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.frame.window import Jitter, WindowChooser
 from gffe_cl.engine.opencl.device import Device
 
 JITTER_LENGTH = 16  # frames until built-in scenes repeat their jitter

@@ -20,14 +20,13 @@ from gffe_cl.engine.frame.rendered_frame import OVERLAYS
 from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.order import stages_of
+from gffe_cl.engine.pipeline.outputs import stages_of
 from gffe_cl.engine.stages.base import Board, FrameBlocks, Stage, Step
 from gffe_cl.engine.stages.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.engine.stages.commands import Commands, Launch
-from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.presentation import Presentation
-from gffe_cl.engine.stages.scene_cuts import SceneCuts
+from gffe_cl.engine.stages.measures import SceneCuts
+from gffe_cl.engine.stages.presentation import Composition, Presentation
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.stages.upscaling import Upscaling
 

@@ -9,13 +9,13 @@ import numpy as np
 
 from gffe_cl.engine.core import validation
 from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
-from gffe_cl.engine.frame import camera, frame_format, intervals
+from gffe_cl.engine.frame import camera, frame_format
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.engine.inference.layers import MULTIPLE
 from gffe_cl.engine.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
 from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
-from gffe_cl.engine.stages import mu_law, scene_cuts
+from gffe_cl.engine.stages import frame_block, measures
 from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage
 from gffe_cl.engine.stages.buffers import (
     BLOCK,
@@ -81,7 +81,7 @@ def config(options: Options) -> str:
         "MOST_FRAME_RATE": validation.FRAME_RATES[1],
         "LEAST_EXPOSURE": validation.EXPOSURES[0],
         "MOST_EXPOSURE": validation.EXPOSURES[1],
-        "MOST_ALPHA": intervals.MOST_ALPHA,
+        "MOST_ALPHA": camera.MOST_ALPHA,
         "RIGIDITY_TOLERANCE": camera.RIGIDITY_TOLERANCE,
         "MOST_FOCAL": camera.MOST_FOCAL,
         "MOST_DISTANCE": camera.MOST_DISTANCE,
@@ -89,22 +89,22 @@ def config(options: Options) -> str:
         "MOST_JITTER": frame_format.MOST_JITTER,
         "MOST_PLANES": frame_format.MOST_PLANES,
         "MOST_RATIO": frame_format.MOST_RATIO,
-        "MU": mu_law.MU,
-        "HEADROOM": mu_law.HEADROOM,
+        "MU": frame_block.MU,
+        "HEADROOM": frame_block.HEADROOM,
         "CUT_DETECTION": int(options.cut_detection),
         "UPSCALES": int(options.upscale > 0),
         "CUT_SAMPLES_X": CUT_SAMPLES[0],
         "CUT_SAMPLES_Y": CUT_SAMPLES[1],
-        "CUT_LEAST_SAMPLES": scene_cuts.LEAST_SAMPLES,
-        "CUT_LEAST_OVERLAP": scene_cuts.LEAST_OVERLAP,
-        "CUT_DEPTH_SURE": scene_cuts.DEPTH_SURE,
-        "CUT_DEPTH_UNSURE": scene_cuts.DEPTH_UNSURE,
-        "CUT_CONTRAST_RIGHT": scene_cuts.CONTRAST_RIGHT,
-        "CUT_LEAST_CONTRASTS": scene_cuts.LEAST_CONTRASTS,
-        "CUT_TELEPORT": scene_cuts.TELEPORT,
+        "CUT_LEAST_SAMPLES": measures.LEAST_SAMPLES,
+        "CUT_LEAST_OVERLAP": measures.LEAST_OVERLAP,
+        "CUT_DEPTH_SURE": measures.DEPTH_SURE,
+        "CUT_DEPTH_UNSURE": measures.DEPTH_UNSURE,
+        "CUT_CONTRAST_RIGHT": measures.CONTRAST_RIGHT,
+        "CUT_LEAST_CONTRASTS": measures.LEAST_CONTRASTS,
+        "CUT_TELEPORT": measures.TELEPORT,
     }
     lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
-    counted = ", ".join(f"GFFE_{name.upper()}" for name in scene_cuts.COUNTED)
+    counted = ", ".join(f"GFFE_{name.upper()}" for name in measures.COUNTED)
     lines.append(f"enum {{ {counted}, GFFE_COUNTED }}; /* of the samples of a cut */")
     lines.append(_frame_block())
     guard = '#ifndef GFFE_CONFIG_H\n#define GFFE_CONFIG_H\n\n#include "gffe.h"\n\n'

@@ -8,6 +8,7 @@ z forward; the projection is an off-center pinhole in pixels, the center of pixe
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -17,7 +18,17 @@ from numpy.typing import ArrayLike
 from gffe_cl.engine.core import validation
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame import conventions, vectors
-from gffe_cl.engine.frame.intervals import MOST_ALPHA
+
+HELD_ALPHA = 2.0  # intervals: `Pacer` holds the picture from there on, unless it is told otherwise
+FAR_ALPHA = 16.0  # beyond, new frames are no longer closer to the truth than the last rendered one in every scene
+MOST_ALPHA = 1e6  # beyond, none is made
+
+
+def interval_of(times: Sequence[float], fps: float) -> float:
+    """Return the seconds between the last two rendered frames since a reset, from their `times`, newest first; 1/fps
+    where there are no two."""
+    return times[0] - times[1] if len(times) > 1 else 1.0 / fps
+
 
 RIGIDITY_TOLERANCE = 1e-3
 MOST_FOCAL = 1e9

@@ -1,4 +1,4 @@
-"""Results of stages in the buffers of the extrapolated frame, kept on request before another stage overwrites them."""
+"""Order of the stages, all of them on a board, and their results, kept on request."""
 
 from __future__ import annotations
 
@@ -10,8 +10,67 @@ from typing import Any
 
 import pyopencl as cl
 
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.options import Options
+from gffe_cl.engine.stages.background import Background
 from gffe_cl.engine.stages.base import Board, Stage
-from gffe_cl.engine.stages.buffers import BufferSpec, Owner
+from gffe_cl.engine.stages.buffers import BufferSpec, Owner, Sizes
+from gffe_cl.engine.stages.correction import ShadingCorrection
+from gffe_cl.engine.stages.history import Acceleration, HistoryTracking, PositionPrediction
+from gffe_cl.engine.stages.holes import FILLINGS, HiddenParts, HoleFilling
+from gffe_cl.engine.stages.measures import SceneCuts, Sharpness, UserInterface
+from gffe_cl.engine.stages.network import Convolutions, NetworkInput
+from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs, ShadingTrend
+from gffe_cl.engine.stages.silhouettes import Silhouettes
+from gffe_cl.engine.stages.upscaling import Upscaling
+from gffe_cl.engine.stages.warp import BackwardBlocks, ColorCode, Connectivity, DilatedWarp, Warp
+
+# In the order in which they work, on rendered frames and on new ones.
+STAGES: tuple[type[Stage], ...] = (
+    UserInterface,
+    SceneCuts,
+    HistoryTracking,
+    Sharpness,
+    Acceleration,
+    Connectivity,
+    PositionPrediction,
+    BackwardBlocks,
+    ColorCode,
+    Warp,
+    DilatedWarp,
+    HiddenParts,
+    Background,
+    HoleFilling,
+    Silhouettes,
+    ShadingInputs,
+    NetworkInput,
+    ShadingTrend,
+    ShadingFlow,
+    Convolutions,
+    ShadingCorrection,
+    Upscaling,
+)
+
+
+def stages_of(options: Options) -> list[type[Stage]]:
+    """Return the stages that the options ask for, in order."""
+    chosen = (FILLINGS[options.hole_filling] if stage is HoleFilling else stage for stage in STAGES)
+    wanted = [stage for stage in chosen if stage and stage.is_wanted(options)]
+    return [stage for stage in wanted if options.warps_footprints or not stage.needs_footprints]
+
+
+def board_of(device: Device, sizes: Sizes, options: Options, int64: bool | None) -> Board:
+    """Return a board with all stages that the options ask for, and their buffers. `int64` is that of `Board`."""
+    board = Board(device, sizes, options, int64)
+    try:
+        for stage in stages_of(options):
+            stage(board)
+        board.memory.place()
+        _ = board.frame  # made when it is first asked for
+    except BaseException:
+        board.let_go()
+        raise
+    return board
 
 
 class Output(Owner):

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_bool, require_frame_rate, require_within
-from gffe_cl.engine.frame.intervals import FAR_ALPHA, HELD_ALPHA, interval_of
+from gffe_cl.engine.frame.camera import FAR_ALPHA, HELD_ALPHA, interval_of
 
 _RECENT = 120  # refreshes over which jitter is measured
 _COMPARED = 30  # rendered frames, whose quickest gives the delay

@@ -26,21 +26,17 @@ from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.handles import adopted_events, marker, wait_for_all
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.display import Display
+from gffe_cl.engine.pipeline.frames import Display, RenderedFrames, checked_moment
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
-from gffe_cl.engine.pipeline.moment import checked_moment
-from gffe_cl.engine.pipeline.order import board_of
-from gffe_cl.engine.pipeline.outputs import Outputs
-from gffe_cl.engine.pipeline.rendered_frames import RenderedFrames
-from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
-from gffe_cl.engine.pipeline.watching import Watcher
+from gffe_cl.engine.pipeline.outputs import Outputs, board_of
+from gffe_cl.engine.pipeline.turns import Turns, Watcher, pipeline_call
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
 from gffe_cl.engine.stages.intake import Intake, prepare
-from gffe_cl.engine.stages.memory_budget import footprint, require_room
-from gffe_cl.engine.stages.scene_cuts import SceneCuts
+from gffe_cl.engine.stages.measures import SceneCuts
+from gffe_cl.engine.stages.memory import footprint, require_room
 
 
 class Pipeline:

@@ -11,8 +11,7 @@ import pyopencl as cl
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
-from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec, Sizes, grid_of
-from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
+from gffe_cl.engine.stages.buffers import OFFSET, RGB9E5, RGBA, XY, BufferSpec, Sizes, grid_of
 
 _CONSTANTS = constants("background.cl")
 EMPTY, SHOWN, REMEMBERED, EDGE = (_CONSTANTS[name] for name in ("EMPTY", "SHOWN", "REMEMBERED", "EDGE"))
@@ -47,6 +46,7 @@ class Background(NearestStage):
     """
 
     name = "background"
+    paper = "Hierarchical Background Collection"
     needs_footprints = True
     kernels = (
         Kernel(

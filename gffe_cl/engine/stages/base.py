@@ -242,10 +242,11 @@ class Board:
 class Stage(Owner):
     """Base of all stages.
 
-    Subclasses set `name` (kernel file and module too), `buffers` and `kernels`, and override `rendered`, `extrapolated`
-    or both. `before` holds the buffers kept of the frame before.
+    Subclasses set `name` (of the kernel file, too), `paper` (its section that they follow), `buffers` and `kernels`,
+    and override `rendered`, `extrapolated` or both. `before` holds the buffers kept of the frame before.
     """
 
+    paper = ""
     kernels: tuple[Kernel, ...] = ()
     registered = True  # whether other stages find its buffers on the board
     swaps_alone = False  # whether it calls `swap` itself, once for each rendered frame

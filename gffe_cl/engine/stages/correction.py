@@ -17,11 +17,9 @@ from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
-from gffe_cl.engine.stages.convolutions import Convolutions
-from gffe_cl.engine.stages.host_view import HostView
-from gffe_cl.engine.stages.network_input import NetworkInput
-from gffe_cl.engine.stages.shading_flow import ShadingFlow
-from gffe_cl.engine.stages.shading_trend import ShadingTrend
+from gffe_cl.engine.stages.memory import HostView
+from gffe_cl.engine.stages.network import Convolutions, NetworkInput
+from gffe_cl.engine.stages.shading import ShadingFlow, ShadingTrend
 
 _CONSTANTS = constants("correction.cl")
 _WITHIN_MASK, _WITH_REFINED = _CONSTANTS["WITHIN_MASK"], _CONSTANTS["WITH_REFINED"]
@@ -51,6 +49,7 @@ class ShadingCorrection(Stage):
     """
 
     name = "correction"
+    paper = "Shading Correction Network"
     pictures: ClassVar[Mapping[str, str]] = {"extrapolated": "color"}
     buffers = (
         BufferSpec(

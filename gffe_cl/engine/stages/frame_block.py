@@ -18,7 +18,16 @@ from gffe_cl.engine.frame.vectors import length, view_to_view
 from gffe_cl.engine.opencl.program import expand, parse_constants, parse_struct
 from gffe_cl.engine.options import MAX_LEVELS, Options
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.mu_law import color_law
+
+MU = 5000.0
+HEADROOM = 8.0  # exposed color that is encoded as 1: three stops above display white
+
+
+def color_law(exposure: float) -> np.ndarray:
+    """Return (4,) float32 for kernels: μ · exposure / 8, 1 / ln(1 + μ), and their reciprocals."""
+    gain, log = MU * exposure / HEADROOM, math.log1p(MU)
+    return np.array([gain, 1 / log, 1 / gain, log], np.float32)
+
 
 _SOURCE = expand("frame.h")
 FRAME = parse_struct(_SOURCE, "Frame")

@@ -22,7 +22,6 @@ from gffe_cl.engine.frame.frame_format import (
     jitter_in_color,
     require_render_size,
 )
-from gffe_cl.engine.frame.jitter import without_jitter
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
     HostArrays,
@@ -35,12 +34,13 @@ from gffe_cl.engine.frame.rendered_frame import (
     require_one_pose,
     type_of,
 )
+from gffe_cl.engine.frame.window import without_jitter
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
-from gffe_cl.engine.stages.composition import Composition
+from gffe_cl.engine.stages.measures import UserInterface
+from gffe_cl.engine.stages.presentation import Composition
 from gffe_cl.engine.stages.upload import Upload
-from gffe_cl.engine.stages.user_interface import UserInterface
 
 _NAMES = tuple(spec.name for spec in RENDERED)
 

@@ -1,19 +1,20 @@
-"""Memory that stages lend each other, so that the pipeline needs less of it.
-
-A stage lends memory that it does not need itself between one `submit` and the next, or once it has worked on the
-rendered frame. Transient and fleeting buffers of all stages lie there: several in one place, if no stage works with
-more than one of them.
-"""
+"""Memory: what stages lend each other, whether all fits on the device, and the host's access to buffers."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+import math
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import replace
 from functools import cached_property
 from typing import Any, Protocol
 
+import numpy as np
 import pyopencl as cl
 
-from gffe_cl.engine.stages.buffers import BufferSpec, Sizes, grid_of
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
+from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.stages.buffers import BufferSpec, Owner, Sizes, grid_of
 
 _EXTRAPOLATE = 1000  # more than there are stages
 
@@ -117,3 +118,102 @@ def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, u
             break
         start = max(start, end)
     return start
+
+
+_SURELY = 1024  # bytes per pixel that suffice for any options: only larger sizes are checked in detail
+_TRIAL = 256  # pixels along the longer side of the images by which memory is estimated
+_MARGIN = 0.97  # of the size that would fit: sides are rounded
+
+
+class NoRoomError(GffeError):
+    """Error for images that do not fit on the device, as estimated before anything is allocated."""
+
+
+def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], int]) -> None:
+    """Raise a NoRoomError that names a size that fits, unless images of `sizes` fit on the device. `allocated_for`
+    returns the bytes of all buffers for other sizes."""
+    pixels = _pixels(sizes)
+    if pixels * _SURELY <= device.memory:
+        return
+    shrink = _TRIAL / max(*sizes.source, *sizes.target)
+    trial = replace(sizes, source=_scaled(sizes.source, shrink), target=_scaled(sizes.target, shrink))
+    frames = KEPT_BYTES_PER_PIXEL * math.prod(sizes.source)
+    before = device.allocated
+    needed = allocated_for(trial) * pixels / _pixels(trial) + frames
+    device.allocated = before  # the trial's memory is free again
+    if needed <= device.memory:
+        return
+    width, height = _scaled(sizes.target, _MARGIN * math.sqrt(device.memory / needed))
+    fits = f"expected at most about {width}×{height} of this shape with these options"
+    raise NoRoomError(f"pipeline: {footprint(device, sizes, needed)} ({fits})")
+
+
+def footprint(device: Device, sizes: Sizes, nbytes: float | None) -> str:
+    """Return the sizes of the images in words, and the share of the device's memory that they take, as far as that is
+    known."""
+    through = f" (rendered {sizes.source[0]}×{sizes.source[1]})" if sizes.source != sizes.target else ""
+    takes = "" if nbytes is None else f" takes {_size(nbytes)}"
+    return f"{sizes.target[0]}×{sizes.target[1]}{through}{takes} of the {_size(device.memory)} of {device.info.name}"
+
+
+def _pixels(sizes: Sizes) -> int:
+    return max(math.prod(sizes.source), math.prod(sizes.target))
+
+
+def _scaled(size: tuple[int, int], factor: float) -> tuple[int, int]:
+    width, height = (max(int(side * factor), 1) for side in size)
+    return width, height
+
+
+def _size(nbytes: float) -> str:
+    return f"{nbytes / 2**30:.1f} GiB" if nbytes >= 2**30 else f"{nbytes / 2**20:.0f} MiB"
+
+
+class HostView:
+    """A buffer of a stage as a NumPy array on the host: `array`, between `open` and `close`.
+
+    The array is the buffer itself, mapped. A `staged` one lies in pinned host memory instead, and is copied once: from
+    the device, or to it if the host `writes` the array. Kernels that write the buffer are enqueued before `open` or
+    after `close`. Kernels that read it are, too, where the host writes.
+    """
+
+    def __init__(self, owner: Owner, name: str, *, writes: bool = False, staged: bool = False):
+        spec = owner.spec(name)
+        self._device: Device = owner.device
+        self._buffer = owner.buffer[name]  # not the owner: stages that hold each other are freed late
+        self._shape, self._dtype = spec.shape(owner.sizes), np.dtype(spec.dtype)
+        self._writes = writes
+        self._staging = pinned_array(self._device, self._shape, self._dtype) if staged else None
+        self.array: np.ndarray | None = None
+
+    def open(self) -> list[cl.Event]:
+        """Enqueue the work that makes `array` usable, and return the events to wait for before it is used."""
+        queue = self._device.queue
+        if self._staging is None:
+            flags = cl.map_flags.WRITE_INVALIDATE_REGION if self._writes else cl.map_flags.READ
+            map_buffer: Any = cl.enqueue_map_buffer  # its stub leaves the event out
+            self.array, event = map_buffer(queue, self._buffer, flags, 0, self._shape, self._dtype, is_blocking=False)
+            return [event]
+        self.array = self._staging
+        return [] if self._writes else [cl.enqueue_copy(queue, self.array, self._buffer, is_blocking=False)]
+
+    def close(self) -> list[cl.Event]:
+        """Enqueue the work that gives the buffer back to the device, and return the events of that. Keep them until
+        they are complete: pyopencl waits where the event of a copy is dropped before."""
+        array, self.array = self.array, None
+        if array is None:
+            return []
+        if self._staging is None:
+            memory: Any = array.base
+            return [memory.release(self._device.queue)]
+        return [cl.enqueue_copy(self._device.queue, self._buffer, array, is_blocking=False)] if self._writes else []
+
+
+def pinned_array(device: Device, shape: tuple[int, ...], dtype: np.dtype) -> np.ndarray:
+    """Return a new array, not initialized, in host memory that the driver copies to and from fast: pinned, where the
+    driver does so."""
+    nbytes = math.prod(shape) * dtype.itemsize
+    buffer = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.ALLOC_HOST_PTR, nbytes)
+    flags: Any = cl.map_flags.READ | cl.map_flags.WRITE
+    array, _ = cl.enqueue_map_buffer(device.queue, buffer, flags, 0, shape, dtype)
+    return array

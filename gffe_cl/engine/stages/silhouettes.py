@@ -7,8 +7,7 @@ import numpy as np
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Kernel, Stage, Step
-from gffe_cl.engine.stages.buffers import RGBA, BufferSpec
-from gffe_cl.engine.stages.pixel_formats import RGB9E5
+from gffe_cl.engine.stages.buffers import RGB9E5, RGBA, BufferSpec
 
 _CONSTANTS = constants("layers.h")
 LAYERS = tuple(

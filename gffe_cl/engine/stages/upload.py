@@ -13,7 +13,7 @@ from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RENDERED, XY, BufferSpec, DeviceFrame
-from gffe_cl.engine.stages.host_view import pinned_array
+from gffe_cl.engine.stages.memory import pinned_array
 
 _MOST_BYTES = 28  # per pixel: color float × 4, depth float, motion float × 2
 _PLACES = 2  # that the host fills in turn

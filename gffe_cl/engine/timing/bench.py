@@ -27,7 +27,7 @@ from gffe_cl.engine.stages.base import Board, read_some_rows
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.memory_budget import NoRoomError
+from gffe_cl.engine.stages.memory import NoRoomError
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.timing import parts as tables
 from gffe_cl.engine.timing.footage import FrameLoop, Turn

@@ -30,7 +30,7 @@ from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.shading_trend import ShadingTrend
+from gffe_cl.engine.stages.shading import ShadingTrend
 from gffe_cl.engine.timing.footage import FrameLoop
 
 SIZE = (1920, 1080)  # pixels, by default

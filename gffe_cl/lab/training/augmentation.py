@@ -7,7 +7,7 @@ import torch.nn.functional as functional
 from torch import Tensor
 
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.shading_trend import TREND_PLANES, spacing_of
+from gffe_cl.engine.stages.shading import TREND_PLANES, spacing_of
 from gffe_cl.lab.training.clips import CROP
 from gffe_cl.lab.training.crops import DYNAMIC, Batch
 from gffe_cl.lab.training.images import halve

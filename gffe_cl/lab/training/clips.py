@@ -19,7 +19,7 @@ from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.shading_trend import TREND_PLANES
+from gffe_cl.engine.stages.shading import TREND_PLANES
 from gffe_cl.lab.metrics import focus_mask
 from gffe_cl.lab.training import images, network
 from gffe_cl.lab.training.domain_randomization import vary_scene

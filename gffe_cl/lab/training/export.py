@@ -27,7 +27,7 @@ from gffe_cl.engine.inference.layers import (
     shapes_at,
 )
 from gffe_cl.engine.inference.network import open_session
-from gffe_cl.engine.stages.shading_trend import TREND_PLANES
+from gffe_cl.engine.stages.shading import TREND_PLANES
 from gffe_cl.lab.training.layers import write_layers
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork
 from gffe_cl.lab.training.quantization import rounded_weights, store_integers

@@ -19,7 +19,7 @@ import torch.nn.functional as functional
 from torch import Tensor, nn
 
 from gffe_cl.engine.inference.layers import CANDIDATE_PLANES, HEAD_LAYERS, INPUT_PLANES, JUDGEMENT_PLANES
-from gffe_cl.engine.stages.mu_law import HEADROOM, MU
+from gffe_cl.engine.stages.frame_block import HEADROOM, MU
 from gffe_cl.lab.training.flow import find_flow
 from gffe_cl.lab.training.images import double, halve, warp
 

@@ -18,8 +18,8 @@ from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.frame.frame_format import FrameFormat
-from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.frame.window import Jitter
 from gffe_cl.lab.fault_injection import Kept
 
 W, H = 240, 136

@@ -12,7 +12,7 @@ import gffe_cl as gffe_api
 from gffe_cl.captures.doctor import Repair, examine, warning_of
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence import open_sequence
-from gffe_cl.engine.frame.jitter import Jitter
+from gffe_cl.engine.frame.window import Jitter
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.fault_injection import Kept
 

@@ -13,9 +13,9 @@ from gffe_cl.captures.sequence.post_effects import (
     with_ui,
 )
 from gffe_cl.engine.frame.frame_format import FrameFormat
-from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import to_display
+from gffe_cl.engine.frame.window import Jitter
 
 W, H = 64, 48
 

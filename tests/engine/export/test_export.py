@@ -31,9 +31,8 @@ from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.export.writing import export
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat
-from gffe_cl.engine.frame.jitter import Jitter
 from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame, host_arrays
-from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.frame.window import Jitter, WindowChooser
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import Owner, spread

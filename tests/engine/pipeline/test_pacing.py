@@ -13,7 +13,7 @@ from paced import Pacer, library
 from parameters import few
 
 from gffe_cl import Camera, GffeError, Options, Pipeline, RenderedFrame
-from gffe_cl.engine.frame.intervals import FAR_ALPHA, HELD_ALPHA, interval_of
+from gffe_cl.engine.frame.camera import FAR_ALPHA, HELD_ALPHA, interval_of
 
 MAKING = 0.002  # seconds of an extrapolated frame
 REFRESH = 1 / 60

@@ -11,11 +11,9 @@ from gffe_cl import Options, Pipeline
 from gffe_cl.captures.scenes import load_scene
 from gffe_cl.captures.scenes.renderer import SceneRenderer
 from gffe_cl.captures.scenes.sequences import SceneFrames
-from gffe_cl.engine.frame.jitter import Jitter
-from gffe_cl.engine.frame.window import WindowChooser
+from gffe_cl.engine.frame.window import Jitter, WindowChooser
 from gffe_cl.engine.stages.background import REMEMBERED
-from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING
-from gffe_cl.engine.stages.pixel_formats import OFFSET, RGB9E5
+from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING, OFFSET, RGB9E5
 
 W, H = 128, 80
 WALL = Rect((0, 0, 10), frequency=0.25)

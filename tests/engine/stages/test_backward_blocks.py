@@ -9,8 +9,8 @@ from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.backward_blocks import COPIED
 from gffe_cl.engine.stages.buffers import BY_CRACK_CLOSING, BY_WARP
+from gffe_cl.engine.stages.warp import COPIED
 
 _LINEAR_MOST = constants("backward_blocks.cl")["LINEAR_MOST"]  # pixels
 

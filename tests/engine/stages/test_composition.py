@@ -14,8 +14,8 @@ from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import BY_FIXED, DeviceFrame, Sizes
-from gffe_cl.engine.stages.composition import Composition
 from gffe_cl.engine.stages.frame_block import mapping
+from gffe_cl.engine.stages.presentation import Composition
 
 W, H = 96, 64
 GAE = Options(shading_correction=False)

@@ -5,7 +5,7 @@ from synthetic import Rect, Rects, camera
 from twin_cases import run
 
 from gffe_cl.engine.options import PRESETS, Options
-from gffe_cl.engine.pipeline.order import stages_of
+from gffe_cl.engine.pipeline.outputs import stages_of
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 
 OPTIONS = Options.preset("performance")

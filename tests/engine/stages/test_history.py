@@ -14,8 +14,8 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.color_code import ColorCode
 from gffe_cl.engine.stages.history import HistoryTracking
+from gffe_cl.engine.stages.warp import ColorCode
 
 
 @pytest.mark.parametrize(("lookups", "sign"), [(1, 1), (2, 1), (1, -1)])

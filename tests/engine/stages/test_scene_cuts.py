@@ -17,7 +17,7 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import CUT_SAMPLES
 from gffe_cl.engine.stages.frame_block import reprojection
-from gffe_cl.engine.stages.scene_cuts import COUNTED, counts_say_cut
+from gffe_cl.engine.stages.measures import COUNTED, counts_say_cut
 from gffe_cl.lab.compare import compare
 from gffe_cl.viewer.engine.messages import Recipe, Setup
 from gffe_cl.viewer.engine.slot_maker import Seeker

@@ -10,9 +10,9 @@ from synthetic import Rect, Rects, camera
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.backward_blocks import COPIED
 from gffe_cl.engine.stages.buffers import BLOCK
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, BlockWriter
+from gffe_cl.engine.stages.warp import COPIED
 
 W, H, FRAMES = 131, 75, 6
 ROOM = Rects(

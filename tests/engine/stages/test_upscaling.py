@@ -11,8 +11,8 @@ from upscaling_frames import JITTER, STILL, H, W, color_of, frames, path, pipeli
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence import open_sequence
-from gffe_cl.engine.frame.jitter import Jitter, without_jitter
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+from gffe_cl.engine.frame.window import Jitter, without_jitter
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 
 

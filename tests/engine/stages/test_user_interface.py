@@ -15,7 +15,7 @@ from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.user_interface import UserInterface
+from gffe_cl.engine.stages.measures import UserInterface
 
 W, H = 160, 90
 FINDS = Options.preset("performance", ui_detection=True)

@@ -13,7 +13,7 @@ torch = pytest.importorskip("torch")
 
 from gffe_cl.engine.core.errors import GffeError  # noqa: E402
 from gffe_cl.engine.inference import network as inference  # noqa: E402
-from gffe_cl.engine.stages.shading_trend import TREND_PLANES, spacing_of  # noqa: E402
+from gffe_cl.engine.stages.shading import TREND_PLANES, spacing_of  # noqa: E402
 from gffe_cl.lab import metrics  # noqa: E402
 from gffe_cl.lab.metrics import focus_mask, shading_regions, to_display  # noqa: E402
 from gffe_cl.lab.training import clips, images, losses, network  # noqa: E402

@@ -178,7 +178,7 @@ static void take_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion) {
     }
 }
 
-/* Decides by the counts of samples whether the frame is a cut (gffe_cl/engine/stages/scene_cuts.py). */
+/* Decides by the counts of samples whether the frame is a cut (gffe_cl/engine/stages/measures.py). */
 static int is_cut(const cl_int *counts, int jumped) {
     const double valid = counts[GFFE_VALID], inside = counts[GFFE_INSIDE], compared = counts[GFFE_COMPARED];
     double depth;
@@ -250,7 +250,7 @@ static gffe_status decide_cut(gffe *g) {
 }
 
 /* Returns the camera without jitter: a principal point within a pixel of the middle belongs there
-   (gffe_cl/engine/frame/jitter.py). */
+   (gffe_cl/engine/frame/window.py). */
 static gffe_camera without_jitter(const gffe_camera *camera, const int size[2]) {
     const double x = size[0] / 2.0, y = size[1] / 2.0;
     gffe_camera made = *camera;

@@ -1,4 +1,4 @@
-/* Overlays, which are not warped with the picture (gffe_cl/engine/stages/composition.py). */
+/* Overlays, which are not warped with the picture (gffe_cl/engine/stages/presentation.py). */
 #include <string.h>
 
 #include "gffe_internal.h"

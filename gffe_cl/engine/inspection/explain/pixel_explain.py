@@ -39,7 +39,7 @@ from gffe_cl.engine.stages.buffers import (
     BY_WARP,
     FILLED_BY,
 )
-from gffe_cl.engine.stages.sharpness import Sharpness
+from gffe_cl.engine.stages.measures import Sharpness
 from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 
 _MIXED = 2 * constants("background.cl")["SAME_LEVEL"]  # relative depth within which texels of a level are mixed
