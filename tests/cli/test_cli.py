@@ -491,14 +491,15 @@ def test_interrupt_keeps_what_is_finished(tmp_path):
         stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
     )  # fmt: skip
     deadline = time.monotonic() + 60
-    while len(list(out.rglob("extrapolated_*.exr"))) < 10 and time.monotonic() < deadline:
+    part = tmp_path / "out.part"
+    while len(list(part.rglob("extrapolated_*.exr"))) < 10 and time.monotonic() < deadline:
         time.sleep(0.02)
     child.send_signal(signal.SIGINT)
     _, err = child.communicate(timeout=60)
-    made = open_sequence(out)
-    assert child.returncode == 130 and err == f"interrupted: {len(made.frames)} finished frames are in {out}\n"
+    made = open_sequence(part)
+    assert child.returncode == 130 and err == f"interrupted: {len(made.frames)} finished frames are in {part}\n"
     assert 10 <= len(made.extrapolated) < 560
-    assert {p.name for p in out.glob("*.exr")} == {e.file for e in made.frames}
+    assert {p.name for p in part.glob("*.exr")} == {e.file for e in made.frames} and not out.exists()
 
 
 def test_signals_during_the_first_second(pristine, tmp_path):
@@ -516,8 +517,10 @@ def test_signals_during_the_first_second(pristine, tmp_path):
         if child.returncode:
             err = err.removeprefix(remark)
             assert err.startswith("interrupted") and err.count("\n") == 1
-            assert ("finished frames are in" in err) == (tmp_path / "out").exists()
-        shutil.rmtree(tmp_path / "out", ignore_errors=True)
+            assert ("finished frames are in" in err) == (tmp_path / "out.part").exists()
+            assert not (tmp_path / "out").exists()
+        for name in ("out", "out.part"):
+            shutil.rmtree(tmp_path / name, ignore_errors=True)
 
 
 def test_nothing_heavy_before_the_handlers():
@@ -635,7 +638,7 @@ def test_an_unfinished_sequence_says_so(gffe, scene, tmp_path):
         for entry in open_sequence(scene).rendered:
             writer.link(entry, scene / entry.file)
         raise KeyboardInterrupt
-    code, _, err = gffe("run", tmp_path / "cut", tmp_path / "out")
+    code, _, err = gffe("run", tmp_path / "cut.part", tmp_path / "out")
     assert code == 0 and "unfinished: its writer was interrupted after 4 frames" in err
     document = json.loads((tmp_path / "out" / "sequence.json").read_text())
     (tmp_path / "out" / "sequence.json").write_text(json.dumps(document | {"unfinished": True}))

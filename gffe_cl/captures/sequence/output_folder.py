@@ -1,47 +1,37 @@
-"""Output folder of a sequence: rules for files that may be replaced.
-
-Files are written into the folder `gffe-unfinished` within it and moved to their places when all of them are whole:
-until then an earlier output stays unchanged. A journal in there is locked while a run is writing; the lock ends with
-its process, however that ends. The next run removes files that a killed process left.
-"""
+"""Output folder of a sequence: files are written into `OUT.part`, which takes its place when all are whole."""
 
 from __future__ import annotations
 
 import contextlib
+import errno
 import json
 import os
 import shutil
 from pathlib import Path
-from typing import TextIO
 
-from gffe_cl.captures.sequence.description import FILE_NAME, check_file_name
+from gffe_cl.captures.sequence.description import FILE_NAME, FORMAT, check_file_name
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import lock, open_regular, read_bounded
+from gffe_cl.engine.core.files import open_regular
 
 GENERATOR = "gffe-cl"
-STAGING = "gffe-unfinished"
-_JOURNAL = ".journal"  # in STAGING: the process, then the names of own files, each a line of JSON
-_MOST_JOURNAL = 1 << 20  # bytes
-_TRIES = 20  # at entering a folder that another run is just leaving
+PART, _OLD = ".part", ".old"
 
 
 def refuse_same_folder(output, source) -> None:
     """Raise GffeError if `output` and `source`, folders or their `sequence.json`, are the same folder, or if writing to
     the one would remove the other."""
-    output_folder, folder = (os.path.realpath(_folder_of(path)) for path in (output, source))
-    if folder == output_folder or Path(folder).is_relative_to(os.path.join(output_folder, STAGING)):
+    output_folder, folder = (Path(os.path.realpath(_folder_of(path))) for path in (output, source))
+    if folder in (output_folder, _beside(output_folder, PART)):
         raise GffeError(f"{output}: the output would overwrite its input (expected another folder)")
 
 
 def why_unfinished(folder: Path) -> str | None:
     """Return a sentence if `folder` has no `sequence.json` because it is still being written or was never finished,
     else None."""
-    journal = folder / STAGING / _JOURNAL
-    with contextlib.suppress(OSError), open_regular(journal) as file:
-        if not lock(file, shared=True):
-            return f"is still being written, {_writer(journal)} (expected to wait for its end)"
-        return f"is unfinished: its writer was stopped (expected {FILE_NAME}: write it again)"
-    return None
+    part = _beside(Path(os.path.realpath(folder)), PART)
+    if (folder / FILE_NAME).exists() or not (part / FILE_NAME).exists():
+        return None
+    return f"is unfinished: its writer is at work or was stopped, its frames are in {part} (expected {FILE_NAME})"
 
 
 class OutputFolder:
@@ -49,28 +39,29 @@ class OutputFolder:
 
     def __init__(self, path: Path, generator: str = GENERATOR):
         self.path, self.generator = path, generator
-        self.staging = path / STAGING
-        self._journal: TextIO | None = None
-        self._own: set[str] = set()  # left by an earlier run, may be replaced
+        self._target = Path(os.path.realpath(path))
+        self.staging = _beside(self._target, PART)
+        self._own: set[str] = set()  # of an earlier run, may be replaced
         self._claimed: set[str] = set()
         self._made_folders: list[Path] = []
-        self._moving = False
 
     def open(self) -> None:
-        """Create the folder, or take over the one that holds an earlier output."""
+        """Create the folder to write into, or clear that of a run that was stopped."""
         if self.path.exists() and not self.path.is_dir():
             raise GffeError(f"{self.path}: is a file (expected a folder to write a sequence into)")
+        stub = {"format": FORMAT, "generator": self.generator, "unfinished": True, "frames": []}
         try:
-            self._journal = self._enter()
-            self._own = self._earlier_output()
-            self._clear_staging()
-            self._journal.truncate(0)
-            self._note([os.getpid()])
-            (self.staging / FILE_NAME).unlink(missing_ok=True)
-        except (OSError, GffeError) as error:
-            self._leave()
-            if isinstance(error, GffeError):
-                raise
+            self._own = self._earlier_output(self._target)
+            if self._target.exists() and not os.access(self._target, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES))
+            if os.path.lexists(self.staging):
+                if not (self.staging / FILE_NAME).exists() or self.staging.is_symlink():
+                    raise GffeError(f"{self.staging}: was not written by {self.generator} (expected another folder)")
+                self._earlier_output(self.staging)
+                shutil.rmtree(self.staging)
+            self._make_folder(self.staging)
+            (self.staging / FILE_NAME).write_text(json.dumps(stub))
+        except OSError as error:
             raise GffeError(
                 f"{self.path}: cannot be written to ({error.strerror or error}; expected a writable folder)"
             ) from None
@@ -79,12 +70,13 @@ class OutputFolder:
         """Return the path to write file `name` to. Raises GffeError if that would overwrite a file of another
         origin."""
         check_file_name(name, str(self.path))
-        path = self.path / name
+        path, place = self.path / name, self._target / name
         if name in self._claimed:
             raise GffeError(f"{path}: is written twice (expected a different file for each frame)")
-        if Path(name).parts[0] in (STAGING, _JOURNAL) or not self._is_inside(path):
+        folders = list(place.parents)[: len(Path(name).parts) - 1]
+        if any(os.path.lexists(one) and (one.is_symlink() or not one.is_dir()) for one in folders):
             raise GffeError(f"{path}: cannot be written there (expected another folder)")
-        if os.path.isdir(path) or (name not in self._own and os.path.lexists(path)):
+        if os.path.isdir(place) or (name not in self._own and os.path.lexists(place)):
             raise GffeError(f"{path}: exists and was not written by gffe-cl (expected an empty folder)")
         self._claimed.add(name)
         return self._place(name)
@@ -93,133 +85,79 @@ class OutputFolder:
         """Return the folder for files that are not frames and go into the folder `name` with them."""
         return self._place(f"{name}/any").parent
 
-    def keep(self, document: str, files: list[str], interrupted: bool) -> Path:
-        """Finish the output, and return the folder of the sequence. Own files are replaced or removed, and
-        `sequence.json` with the text `document` appears at once.
-
-        If the run was `interrupted` and found an earlier output, that stays unchanged, and the new frames stay beside
-        it.
-        """
+    def keep(self, document: str, interrupted: bool) -> Path:
+        """Finish the output with the text `document` of `sequence.json`, and return the folder of the sequence. Files
+        of an earlier output are removed, files of others move along. After an `interrupted` run an earlier output
+        stays, and the new frames stay beside it."""
         path = self.path / FILE_NAME
         try:
             with open(self.staging / FILE_NAME, "w", encoding="utf-8") as file:
                 file.write(document)
                 file.flush()
                 os.fsync(file.fileno())
-            if interrupted and path.exists():
-                self._release()
+            if interrupted:
                 return self.staging
-            self._move(files)
+            self._replace()
         except OSError as error:
             raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
-        self._remove(self._own - set(files))
-        self._clear_staging()
-        self._leave()
         return self.path
 
     def discard(self) -> None:
         """Remove the files of this run and the folders made for them. Earlier output stays."""
-        if self._moving:  # too late: the folder has files of both, and the next run removes them
-            self._release()
-            return
-        self._clear_staging()
-        self._leave()
+        shutil.rmtree(self.staging, ignore_errors=True)
         for folder in reversed(self._made_folders):
             with contextlib.suppress(OSError):
                 folder.rmdir()
 
-    def _move(self, files: list[str]) -> None:
-        moves = [path for path in self._staged() if path not in (Path(_JOURNAL), Path(FILE_NAME))]
-        for name in moves:
-            (self.path / name).parent.mkdir(parents=True, exist_ok=True)
-        os.fsync(self._note(sorted({*self._own, *files})).fileno())
-        self._moving = True
-        (self.path / FILE_NAME).unlink(missing_ok=True)
-        for name in moves:
-            os.replace(self.staging / name, self.path / name)
-        os.replace(self.staging / FILE_NAME, self.path / FILE_NAME)
-        self._moving = False
+    def _replace(self) -> None:
+        """Give the new folder the place of the earlier one, at once."""
+        if not self._target.exists():
+            os.rename(self.staging, self._target)
+            return
+        old = _beside(self._target, _OLD)
+        shutil.rmtree(old, ignore_errors=True)
+        os.rename(self._target, old)
+        try:
+            os.rename(self.staging, self._target)
+        except OSError:
+            os.rename(old, self._target)
+            raise
+        self._move_foreign(old)
+        shutil.rmtree(old, ignore_errors=True)
 
-    def _staged(self) -> list[Path]:
-        found = [Path(folder) / file for folder, _, files in os.walk(self.staging) for file in files]
-        return [path.relative_to(self.staging) for path in found]
-
-    # ---- one run at a time -----------------------------------------------------------------------------
-
-    def _enter(self) -> TextIO:
-        """Return the journal, locked. Raises GffeError if another run is writing into the folder."""
-        journal = self.staging / _JOURNAL
-        for _ in range(_TRIES):
-            self._make_folder(self.path)
-            with contextlib.suppress(FileExistsError):
-                self.staging.mkdir()
-            try:
-                there = os.listdir(self.staging)  # the journal comes first and goes last
-                if self.staging.is_symlink() or (there and _JOURNAL not in there):
-                    raise GffeError(f"{self.staging}: exists and was not written by gffe-cl (expected another folder)")
-                file = open(journal, "a+", encoding="utf-8", errors="replace")  # noqa: SIM115
-            except FileNotFoundError:
-                continue
-            if not lock(file):
-                file.close()
-                raise GffeError(f"{self.path}: another run is writing into it, {_writer(journal)} (expected its end)")
-            with contextlib.suppress(FileNotFoundError):
-                if os.path.samestat(os.fstat(file.fileno()), os.stat(journal)):
-                    return file
-            file.close()
-        raise GffeError(f"{self.path}: other runs keep writing into it (expected another folder)")
-
-    def _leave(self) -> None:
-        """Release the lock and remove its file."""
-        if self._journal is not None:
-            with contextlib.suppress(OSError):
-                (self.staging / _JOURNAL).unlink()
-            with contextlib.suppress(OSError):
-                self.staging.rmdir()
-        self._release()
-
-    def _release(self) -> None:
-        if self._journal is not None:
-            with contextlib.suppress(OSError):  # what a full disk did not take was told of before
-                self._journal.close()
-            self._journal = None
-
-    def _note(self, values: list) -> TextIO:
-        journal = self._open_journal()
-        journal.writelines(json.dumps(value) + "\n" for value in values)
-        journal.flush()
-        return journal
-
-    def _open_journal(self) -> TextIO:
-        assert self._journal is not None  # from `__init__` to the end of the output
-        return self._journal
+    def _move_foreign(self, old: Path, below: str = "") -> None:
+        """Move files that no earlier run wrote from the folder `old` into the new one."""
+        for path in (old / below).iterdir():
+            name = f"{below}{path.name}"
+            there = self._target / name
+            mixed = there.is_dir() or any(own.startswith(f"{name}/") for own in self._own)
+            if path.is_dir() and not path.is_symlink() and mixed:
+                there.mkdir(exist_ok=True)
+                self._move_foreign(old, f"{name}/")
+                with contextlib.suppress(OSError):
+                    there.rmdir()  # nothing was foreign
+            elif name not in self._own and not os.path.lexists(there):
+                os.rename(path, there)
 
     # ---- files -----------------------------------------------------------------------------------------
 
-    def _earlier_output(self) -> set[str]:
-        journal = self._open_journal()
-        journal.seek(0)
-        names: list = []
-        with contextlib.suppress(ValueError):  # the process ended within a line
-            for line in journal.read().splitlines()[1:]:
-                names.append(json.loads(line))
-        json_path = self.path / FILE_NAME
-        if json_path.exists():
-            try:
-                with open_regular(json_path) as file:
-                    document = json.loads(file.read())
-                ours = document["generator"] == self.generator
-                names += [frame["file"] for frame in document["frames"]]
-            except (OSError, ValueError, KeyError, TypeError, RecursionError):
-                ours = False
-            if not ours:
-                raise GffeError(
-                    f"{json_path}: was not written by {self.generator}, so it stays (expected another folder)"
-                )
-        own = set()
-        for name in names:
-            with contextlib.suppress(GffeError):
-                own.add(check_file_name(name, "earlier output"))
+    def _earlier_output(self, folder: Path) -> set[str]:
+        """Return the files that the `sequence.json` of a folder names. Raises GffeError if another program wrote it."""
+        json_path = folder / FILE_NAME
+        if not json_path.exists():
+            return set()
+        own = {FILE_NAME}
+        try:
+            with open_regular(json_path) as file:
+                document = json.loads(file.read())
+            ours = document["generator"] == self.generator
+            for frame in document["frames"]:
+                with contextlib.suppress(GffeError):
+                    own.add(check_file_name(frame["file"], "earlier output"))
+        except (OSError, ValueError, KeyError, TypeError, RecursionError):
+            ours = False
+        if not ours:
+            raise GffeError(f"{json_path}: was not written by {self.generator}, so it stays (expected another folder)")
         return own
 
     def _place(self, name: str) -> Path:
@@ -230,45 +168,19 @@ class OutputFolder:
             raise GffeError(f"{path}: cannot be written ({error.strerror or error})") from None
         return path
 
-    def _clear_staging(self) -> None:
-        if self._journal is None:
-            return
-        for path in self.staging.iterdir():
-            if path.is_dir() and not path.is_symlink():
-                shutil.rmtree(path, ignore_errors=True)
-            elif path.name != _JOURNAL:
-                with contextlib.suppress(OSError):
-                    path.unlink()
-
-    def _remove(self, names) -> None:
-        for name in names:
-            path = self.path / name
-            if self._is_inside(path):
-                with contextlib.suppress(OSError):
-                    path.unlink()
-
-    def _is_inside(self, path: Path) -> bool:
-        """Return whether no link leads out of the folder."""
-        return Path(os.path.realpath(path.parent)).is_relative_to(os.path.realpath(self.path))
-
     def _make_folder(self, path: Path) -> None:
         missing = []
         while not path.is_dir():
             missing.append(path)
             path = path.parent
         for folder in reversed(missing):
-            with contextlib.suppress(FileExistsError):
-                folder.mkdir()
-                self._made_folders.append(folder)
+            folder.mkdir()
+            self._made_folders.append(folder)
+
+
+def _beside(folder: Path, ending: str) -> Path:
+    return folder.with_name(folder.name + ending)
 
 
 def _folder_of(path) -> Path:
     return Path(path).parent if Path(path).name == FILE_NAME else Path(path)
-
-
-def _writer(journal: Path) -> str:
-    with contextlib.suppress(OSError, UnicodeError):
-        lines = read_bounded(journal, _MOST_JOURNAL).decode("utf-8").splitlines()
-        if lines and lines[0].isdigit():
-            return f"process {lines[0]}"
-    return "another process"

@@ -286,17 +286,16 @@ def open_sequence(
 @without_collections()
 def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequence:
     try:
+        if unfinished := why_unfinished(path):
+            raise GffeError(f"{path}: {unfinished}")
         if not path.exists():
             raise GffeError(f"{path}: no such folder (expected a sequence: a folder with {FILE_NAME})")
         json_path = path / FILE_NAME if path.is_dir() else path
         if json_path.suffix.lower() != ".json":
             raise GffeError(f"{path}: not a folder (expected a folder with {FILE_NAME}, or that file)")
         folder = json_path.parent
-        unfinished = None if json_path.exists() else why_unfinished(folder)
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
-    if unfinished:
-        raise GffeError(f"{folder}: {unfinished}")
     text = read_text(json_path)
     if mend is not None:
         text = require_kind(mend(text), str, "open_sequence: the result of mend", "a text")

@@ -72,12 +72,12 @@ class SequenceWriter:
 
     Notes
     -----
-    Frames are written into a folder of their own and moved to `path`, with `sequence.json`, when the context ends:
-    until then an earlier output stays unchanged. If it ends by KeyboardInterrupt, `sequence.json` lists the finished
-    frames and is marked as unfinished. If there was an earlier output, that stays, and the new frames are in
-    `path`/gffe-unfinished until the next run; a note of the exception names them. After any other exception everything
-    is as before. Errors of the threads are raised by the next `add` or `link`, or at the end of the context. All of
-    them are GffeError; so are a full disk, a folder that cannot be written to, and one that another run is writing to.
+    Frames are written beside `path`, into the folder `path`.part, which takes the place of `path` when the context
+    ends: until then an earlier output stays unchanged. If the context ends by KeyboardInterrupt, `path`.part stays: its
+    `sequence.json` lists the finished frames and is marked as unfinished, and a note of the exception names it. The
+    next run into `path` replaces it. After any other exception everything is as before. Errors of the threads are
+    raised by the next `add` or `link`, or at the end of the context. All of them are GffeError; so are a full disk and
+    a folder that cannot be written to. Of two runs into one folder at a time, one fails or the last one stays.
     """
 
     def __init__(
@@ -213,10 +213,8 @@ class SequenceWriter:
             return
         document = describe(replace(self._description, frames=frames, unfinished=interrupted), self._generator)
         parse_description(document)  # do not write files that would not open again
-        folder = self._folder.keep(document, [entry.file for entry in frames], interrupted)
-        finished = f"{len(frames)} finished frames are in {folder}" if interrupted else f"{folder} is complete"
-        stays = "" if folder == self.path else f", {self.path} stays as it was"
-        self._kept = finished + stays
+        folder = self._folder.keep(document, interrupted)
+        self._kept = f"{len(frames)} finished frames are in {folder}" if interrupted else f"{folder} is complete"
 
     def _end_threads(self) -> None:
         if self._pool is not None:

@@ -6,11 +6,8 @@ import os
 import resource
 import shutil
 import signal
-import subprocess
-import sys
 import threading
 import time
-from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
@@ -41,35 +38,28 @@ def contents(path):
     return {name: (path / name).read_bytes() for name in names(path) if (path / name).is_file()}
 
 
-def test_interrupted_writer_keeps_what_was_finished(tmp_path):
-    out = tmp_path / "out"
-    with pytest.raises(KeyboardInterrupt), SequenceWriter(out, W, H, 30) as writer:
+@pytest.mark.parametrize("earlier", [False, True])
+def test_interrupted_writer_keeps_what_was_finished(tmp_path, earlier):
+    """Beside the output folder, until the next run; an earlier output stays."""
+    out, part = tmp_path / "out", tmp_path / "out.part"
+    before = contents(write(out, 4)) if earlier else {}
+    with pytest.raises(KeyboardInterrupt) as stop, SequenceWriter(out, W, H, 30) as writer:
         for i in range(5):
             writer.add(rendered(i), named_channels(*pixels(i)))
             if i == 2:
                 raise KeyboardInterrupt
-    sequence = open_sequence(out)
-    assert [entry.file for entry in sequence.frames] == ["frame_0.exr", "frame_1.exr", "frame_2.exr"]
-    assert names(out) == ["frame_0.exr", "frame_1.exr", "frame_2.exr", "sequence.json"]
-    assert sequence.unfinished and f"{out}: unfinished" in sequence.warnings()[0]
-
-
-def test_interrupted_over_an_earlier_output(tmp_path):
-    """It stays; the new frames are beside it until the next run, which does not read from there."""
-    out = write(tmp_path / "out", 4)
-    before = contents(out)
-    with pytest.raises(KeyboardInterrupt) as stop, SequenceWriter(out, W, H, 30) as writer:
-        writer.add(rendered(0), named_channels(*pixels(7)))
-        raise KeyboardInterrupt
-    assert stop.value.__notes__ == [f"1 finished frames are in {out}/gffe-unfinished, {out} stays as it was"]
-    kept = open_sequence(out / "gffe-unfinished")
-    assert kept.unfinished and np.array_equal(kept.read_color(kept.frames[0]), pixels(7)[0])
-    assert {name: data for name, data in contents(out).items() if "gffe-unfinished" not in name} == before
-    assert not open_sequence(out).unfinished
+    assert stop.value.__notes__ == [f"3 finished frames are in {part}"]
+    sequence = open_sequence(part)
+    assert names(part) == ["frame_0.exr", "frame_1.exr", "frame_2.exr", "sequence.json"]
+    assert sequence.unfinished and f"{part}: unfinished" in sequence.warnings()[0]
+    assert contents(out) == before if earlier else not out.exists()
+    if not earlier:
+        with pytest.raises(GffeError, match=r"is unfinished: .* its frames are in .*out\.part"):
+            open_sequence(out)
     with pytest.raises(GffeError, match="overwrite its input"):
-        refuse_same_folder(out, out / "gffe-unfinished")
+        refuse_same_folder(out, part)
     write(out, 1)
-    assert names(out) == ["frame_0.exr", "sequence.json", "truth_0.exr"]
+    assert names(tmp_path) == ["out", "out/frame_0.exr", "out/sequence.json", "out/truth_0.exr"]
 
 
 @pytest.mark.parametrize("fault", [ZeroDivisionError, GffeError("wrong")])
@@ -87,14 +77,14 @@ def test_failing_over_an_earlier_output(tmp_path, fault):
 
 def test_interrupted_while_it_ends(tmp_path, monkeypatch):
     """Ctrl-C during the last steps waits for them: the result is complete."""
-    real = OutputFolder._move
+    real = OutputFolder._replace
 
-    def move(folder, files):
+    def replace(folder):
         _thread.interrupt_main()
         time.sleep(0.2)
-        real(folder, files)
+        real(folder)
 
-    monkeypatch.setattr(OutputFolder, "_move", move)
+    monkeypatch.setattr(OutputFolder, "_replace", replace)
     before = signal.signal(signal.SIGINT, signal.default_int_handler)  # shells have what runs behind them ignore it
     try:
         with pytest.raises(KeyboardInterrupt) as stop:
@@ -103,41 +93,6 @@ def test_interrupted_while_it_ends(tmp_path, monkeypatch):
         signal.signal(signal.SIGINT, before)
     assert stop.value.__notes__ == [f"{tmp_path / 'out'} is complete"]
     assert len(open_sequence(tmp_path / "out").frames) == 6 and not open_sequence(tmp_path / "out").unfinished
-
-
-def test_one_writer_at_a_time(tmp_path):
-    """The second is refused while the first is at work, also from another process, and leaves it alone."""
-    out = tmp_path / "out"
-    child = (
-        "import sys; sys.path.insert(0, sys.argv[1])\n"
-        "from tiny_sequence import write\nfrom gffe_cl.engine.core.errors import GffeError\n"
-        "try:\n    write(sys.argv[2])\nexcept GffeError as error:\n    print(error)"
-    )
-    with SequenceWriter(out, W, H, 30) as writer:
-        writer.add(rendered(0), named_channels(*pixels()))
-        with pytest.raises(GffeError, match=f"another run is writing into it, process {os.getpid()}"):
-            write(out)
-        with pytest.raises(GffeError, match="is still being written"):
-            open_sequence(out)
-        arguments = [sys.executable, "-c", child, str(Path(__file__).parents[2] / "helpers"), str(out)]
-        said = subprocess.run(arguments, capture_output=True, text=True, check=True).stdout
-        assert f"another run is writing into it, process {os.getpid()}" in said
-    assert [entry.file for entry in open_sequence(out).frames] == ["frame_0.exr"]
-
-
-def test_writers_in_turn(tmp_path):
-    """However they meet, each either is refused or ends with a whole sequence."""
-
-    def attempt(_):
-        try:
-            write(tmp_path / "out")
-        except GffeError as error:
-            assert "another run" in str(error) or "other runs" in str(error)
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(attempt, range(24)))
-    assert len(open_sequence(tmp_path / "out").frames) == 6
-    assert "gffe-unfinished" not in names(tmp_path / "out")
 
 
 def test_interrupted_before_the_first_frame(tmp_path):
@@ -184,9 +139,8 @@ def test_impossible_output(tmp_path, below):
 
 @pytest.mark.skipif(os.name != "posix" or not Path("/proc/self").exists(), reason="needs /proc")
 def test_unwritable_output():
-    for path in ("/proc", "/proc/gffe"):
-        with pytest.raises(GffeError, match="cannot be written to"), SequenceWriter(path, W, H, 30):
-            pass
+    with pytest.raises(GffeError, match="cannot be written to"), SequenceWriter("/proc/gffe", W, H, 30):
+        pass
 
 
 @pytest.mark.limits
@@ -252,52 +206,63 @@ def test_replaces_an_older_output(tmp_path):
 
 
 def test_replaces_a_killed_output(tmp_path):
-    writer = SequenceWriter(tmp_path, W, H, 30).__enter__()
+    out = write(tmp_path / "out", 1)
+    before = contents(out)
+    writer = SequenceWriter(out, W, H, 30).__enter__()
     for i in range(3):
         writer.add(rendered(i), named_channels(*pixels(i)))
-    writer._pool.shutdown()  # and then kill -9: no sequence.json, and no lock
-    writer._folder._release()
-    assert len(list(tmp_path.rglob("*.exr"))) == 3
-    with pytest.raises(GffeError, match=r"is unfinished: its writer was stopped"):
-        open_sequence(tmp_path)
-    with SequenceWriter(tmp_path, W, H, 30) as writer:
+    writer._pool.shutdown()  # and then kill -9
+    assert contents(out) == before and len(list((tmp_path / "out.part").glob("*.exr"))) == 3
+    with SequenceWriter(out, W, H, 30) as writer:
         writer.add(rendered(1), named_channels(*pixels()))
-    assert names(tmp_path) == ["frame_1.exr", "sequence.json"]
+    assert names(tmp_path) == ["out", "out/frame_1.exr", "out/sequence.json"]
 
 
-def test_replaces_an_output_killed_while_files_moved(tmp_path, monkeypatch):
-    def killed(*_):
-        raise OSError(errno.EIO, "power cut")
-
+def test_an_earlier_output_stays_where_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
     out = write(tmp_path / "out", 3)
-    (out / "notes.txt").write_text("mine")
-    with pytest.raises(GffeError, match="power cut"), SequenceWriter(out, W, H, 30) as writer:
-        writer.link(rendered(5), out / "frame_0.exr")
-        writer._pool.shutdown()
-        monkeypatch.setattr(os, "replace", killed)
-    monkeypatch.undo()
-    with pytest.raises(GffeError, match=r"is unfinished"):
-        open_sequence(out)
-    write(out, 1)
-    assert names(out) == ["frame_0.exr", "notes.txt", "sequence.json", "truth_0.exr"]
+    before, real = contents(out), os.rename
+
+    def broken(source, target):
+        if str(source).endswith(".part"):
+            raise OSError(errno.EIO, "power cut")
+        real(source, target)
+
+    monkeypatch.setattr(os, "rename", broken)
+    with pytest.raises(GffeError, match="power cut"):
+        write(out, 1)
+    assert contents(out) == before and [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_files_of_others_stay(tmp_path):
+    """... in folders of the output, too."""
+    with SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(FrameEntry("sub/a.exr", 0.0, "extrapolated"), named_channels(pixels()[0]))
+    for name in ("sub/mine.txt", "own.txt", "more/mine.txt"):
+        (tmp_path / "out" / name).parent.mkdir(exist_ok=True)
+        (tmp_path / "out" / name).write_text("mine")
+    (tmp_path / "out" / "link").symlink_to(tmp_path)
+    write(tmp_path / "out", 1)
+    kept = ["link", "more", "more/mine.txt", "own.txt", "sub", "sub/mine.txt"]
+    assert names(tmp_path / "out") == sorted([*kept, "frame_0.exr", "sequence.json", "truth_0.exr"])
 
 
 def test_folders_of_others_are_not_cleared(tmp_path):
-    (tmp_path / "out" / "gffe-unfinished").mkdir(parents=True)
-    (tmp_path / "out" / "gffe-unfinished" / "thesis.tex").write_text("mine")
+    (tmp_path / "out.part").mkdir()
+    (tmp_path / "out.part" / "thesis.tex").write_text("mine")
     with pytest.raises(GffeError, match="was not written by gffe-cl"):
         write(tmp_path / "out")
-    assert names(tmp_path / "out") == ["gffe-unfinished", "gffe-unfinished/thesis.tex"]
+    assert names(tmp_path) == ["out.part", "out.part/thesis.tex"]
 
 
-@pytest.mark.parametrize("file", ["gffe-unfinished/a.exr", ".journal", "link/a.exr"])
+@pytest.mark.parametrize("file", ["notes.txt/a.exr", "link/a.exr"])
 def test_files_that_are_in_the_way(tmp_path, file):
     (tmp_path / "elsewhere").mkdir()
     (tmp_path / "out").mkdir()
+    (tmp_path / "out" / "notes.txt").write_text("mine")
     (tmp_path / "out" / "link").symlink_to(tmp_path / "elsewhere")
     with pytest.raises(GffeError, match="cannot be written there"), SequenceWriter(tmp_path / "out", W, H, 30) as out:
         out.add(FrameEntry(file, 0.0, "extrapolated"), named_channels(pixels()[0]))
-    assert names(tmp_path) == ["elsewhere", "out", "out/link"]
+    assert names(tmp_path) == ["elsewhere", "out", "out/link", "out/notes.txt"]
 
 
 def test_leaves_other_peoples_files_alone(folder):
