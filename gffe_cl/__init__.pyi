@@ -2,6 +2,7 @@
 
 from gffe_cl.captures.doctor.quick import check as check
 from gffe_cl.captures.formats import open_capture as open_capture
+from gffe_cl.captures.offline.recording import record as record
 from gffe_cl.captures.sequence import FrameEntry as FrameEntry
 from gffe_cl.captures.sequence import Sequence as Sequence
 from gffe_cl.captures.sequence import SequenceWriter as SequenceWriter
@@ -26,7 +27,6 @@ from gffe_cl.engine.frame.window import Window as Window
 from gffe_cl.engine.frame.window import adaptive_window as adaptive_window
 from gffe_cl.engine.frame.window import fixed_window as fixed_window
 from gffe_cl.engine.frame.window import nearest_depth as nearest_depth
-from gffe_cl.engine.inspection.attached.client import attach as attach
 from gffe_cl.engine.opencl.device import Device as Device
 from gffe_cl.engine.opencl.device import DeviceInfo as DeviceInfo
 from gffe_cl.engine.opencl.device import list_devices as list_devices

@@ -13,6 +13,9 @@ GONE: dict[str, str] = {
     "Stepper": "choose a preset (gffe bench prints what each costs); Pipeline.change_options works with other options.",
     "choose_options": "choose a preset: gffe bench prints what each costs.",
     "gffe bench --budget": "gffe bench prints what each preset costs.",
+    "attach": "record(pipeline, folder) writes rendered frames that `gffe view FOLDER` follows.",
+    "gffe view --attach": "gffe_cl.record(pipeline, folder) in the program, and `gffe view FOLDER` beside it.",
+    "gffe view --last": "gffe_cl.record(pipeline, folder, most=…) in the program, and `gffe view FOLDER` beside it.",
 }
 
 

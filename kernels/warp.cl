@@ -289,7 +289,8 @@ INLINE void resolve_found(const Fragments from, const Rendered shown, const Foun
     const Floats dy = without_rounding(clamp(wide_divide(f.xx * ey - f.xy * ex, f.det), -1.0f, 1.0f));
 
     /* The taps around that place, or around the one beside to which it steps. */
-    const Floats from_x = dx + step_x, from_y = dy + step_y;
+    /* Lanes without a fragment look at pixel 0, which may have no depth, and so no place. */
+    const Floats from_x = won.exist ? dx + step_x : (Floats)(0.0f), from_y = won.exist ? dy + step_y : (Floats)(0.0f);
     samples_at(src, from_x, from_y, from.width, samples);
     const Ints alike = won.smooth | ((from_x == 0.0f) & (from_y == 0.0f));
     if (!ALL(alike | !won.exist))

@@ -293,7 +293,6 @@ import numpy as np
 import gffe_cl
 before = set(sys.modules)
 import pyopencl as cl
-import gffe_cl.engine.inspection.attached.client
 device = gffe_cl.open_device()
 def buffer(*shape):
     array = np.ones(shape, np.float16 if shape[-1] == 4 else np.float32)
@@ -312,7 +311,7 @@ _LINKED = {"numpy", "pyopencl", "platformdirs", "pytools", "siphash24", "typing_
 
 
 def test_a_renderer_links_the_engine_alone():
-    """A pipeline on device buffers, and `attach`, load NumPy, pyopencl with what that needs, platformdirs, and nothing
+    """A pipeline on device buffers loads NumPy, pyopencl with what that needs, platformdirs, and nothing
     of the package but the engine wing."""
     done = subprocess.run([sys.executable, "-c", _PIPELINE], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr

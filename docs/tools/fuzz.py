@@ -1,5 +1,5 @@
-"""Fuzzes what reads files and numbers from outside: sequences, EXR headers, foreign captures, cameras, options, and
-messages between attached programs and the viewer, and viewers of a living program.
+"""Fuzzes what reads files and numbers from outside: sequences, EXR headers, foreign captures, cameras and
+options.
 
     python docs/tools/fuzz.py --minutes 10
     python docs/tools/fuzz.py --minutes 2 --target sequence:frame_1.exr --seed 7

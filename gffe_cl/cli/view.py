@@ -48,17 +48,6 @@ def view(
         str | None,
         typer.Argument(help="Folder of a capture (see `gffe formats`), or a built-in scene [dim](default: none)[/]."),
     ] = None,
-    attach: Annotated[
-        str | None,
-        typer.Option(
-            "--attach",
-            metavar="NAME",
-            help="Name of a running program to look into, attached there by gffe_cl.attach(pipeline).",
-        ),
-    ] = None,
-    last: Annotated[
-        int, typer.Option("--last", help="Number of rendered frames that --attach keeps for freezing, 3 to 256.")
-    ] = 24,
     n: Annotated[int, typer.Option("-n", help="Number of generated frames per rendered frame, 1 to 7.")] = 1,
     window: Annotated[
         str | None,
@@ -164,13 +153,7 @@ def view(
     alone = [
         name for name, given in (("--screenshot", screenshot), ("--measure", measure), ("--script", script)) if given
     ]
-    if attach is not None and target is not None:
-        raise GffeError(f"--attach {attach}: expected no sequence or scene in addition to a running program")
-    if not 3 <= last <= 256:
-        raise GffeError(f"--last must be 3 to 256 rendered frames, got {last}")
-    if attach is not None and measure is not None:
-        raise GffeError("--measure and --attach exclude each other")
-    if target is None and attach is None and alone:
+    if target is None and alone:
         raise GffeError(f"{alone[0]} needs a sequence or a scene")
     if len(alone) > 1:
         raise GffeError(f"{' and '.join(alone)} exclude each other")
@@ -208,9 +191,7 @@ def view(
     for text in filter(None, (warning, remark)):
         model.say(text)
     with leaving(model):
-        if attach is not None:
-            model.attach(attach, last)
-        elif target is not None:
+        if target is not None:
             model.open(target)
         if script is not None:
             play_script(model, script, steps, film, viewer_size)

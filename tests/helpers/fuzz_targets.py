@@ -7,13 +7,10 @@ import json
 import os
 import re
 import shutil
-import socket
 import struct
 import tempfile
-import time
 import warnings
 from collections.abc import Callable
-from contextlib import suppress
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -23,23 +20,14 @@ from foreign import Shot, write_blender
 from foreign_sets import write_unreal
 from PIL import Image
 
-from gffe_cl import Camera, GffeError, Pipeline, attach, open_capture, open_device
+from gffe_cl import Camera, GffeError, open_capture
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, exr_layout, named_channels
 from gffe_cl.engine.core.errors import MOST
 from gffe_cl.engine.frame import conventions
 from gffe_cl.engine.frame.camera import predict_camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
-from gffe_cl.engine.frame.rendered_frame import BadPixels
-from gffe_cl.engine.inspection.attached import wire
-from gffe_cl.engine.inspection.attached.channel import address_of, own_version
-from gffe_cl.engine.inspection.attached.encoding import decoded, encoded
-from gffe_cl.engine.inspection.attached.shared_memory import About, Placed, RecordingPlan, recorded
-from gffe_cl.engine.inspection.buffers import Moment
-from gffe_cl.engine.inspection.layers import FRAME_LAYERS
 from gffe_cl.engine.options import OPTIONS, Options
-from gffe_cl.engine.pipeline.pacing import PacingStatistics
 from gffe_cl.engine.selftest.scene import FPS, frames
-from gffe_cl.viewer.engine.sources.program import RunningProgram, sequence_of
 
 W, H, COUNT = 12, 9, 2
 
@@ -189,101 +177,6 @@ def read_options(data):
                     continue
 
 
-def read_request(data):
-    """Read a message of the viewer to an attached program."""
-    decoded(data, wire.Greeting, *wire.FROM_VIEWER)
-
-
-def read_answer(data):
-    """Read a message of an attached program to the viewer."""
-    decoded(data, wire.Program, *wire.FROM_PROGRAM)
-
-
-@cache
-def attached_program():
-    """Return a pipeline and its attachment."""
-    pipeline = Pipeline(open_device(), W, H, Options(shading_correction=False))
-    return pipeline, attach(pipeline, f"fuzzed{os.getpid()}")
-
-
-def read_viewers(numbers):
-    """Let one to three viewers at once send valid and invalid messages to a living program in any order, with file
-    descriptors, and leave. The program goes on: it renders frames, and answers the next viewer."""
-    rng, (pipeline, attachment) = rng_of(numbers), attached_program()
-    hello = f"gffe-cl attach {own_version()}\n".encode()
-    valid_ones = [
-        hello,
-        *(encoded(wire.Greeting(frames)) for frames in (0, 3)),
-        *(encoded(wire.Look(frozenset(layers), len(layers) > 1)) for layers in ((), ("final",), ("final", "nothing"))),
-        *(encoded(wire.Ask(x, 1)) for x in (0, W - 1, W, -1, 2**40)),
-        encoded(wire.Use(Options(shading_correction=False))),
-        *(b"\n", b"{}", rng.bytes(int(rng.integers(1, 100_000)))),
-    ]
-    viewers = []
-    for _ in range(int(rng.integers(1, 4))):
-        viewers.append(socket.socket(socket.AF_UNIX, socket.SOCK_SEQPACKET))
-        viewers[-1].settimeout(0.05)
-        with suppress(OSError):
-            viewers[-1].connect(address_of(attachment.name))
-            packets = [hello, valid_ones[1 + int(rng.integers(2))]][: int(rng.integers(3))]
-            packets += [valid_ones[int(k)] for k in rng.integers(len(valid_ones), size=int(rng.integers(8)))]
-            for packet in packets:
-                if rng.integers(3) == 0:
-                    packet = (json_mutated if rng.integers(2) else bytes_mutated)(packet, rng)[:200_000]
-                socket.send_fds(viewers[-1], [packet], [0, 1, 2][: int(rng.integers(4))])
-                pipeline.submit(replace(seen()[0], reset=True))
-            while rng.integers(4):
-                viewers[-1].recv(1 << 20)
-    for viewer in viewers:
-        viewer.close()
-    start = time.monotonic()
-    try:
-        RunningProgram(attachment.name, 0).close()
-    except GffeError as error:
-        raise AssertionError("the program does not answer") from error
-    for frame in seen():
-        pipeline.submit(replace(frame, reset=True))
-    assert np.isfinite(pipeline.extrapolate(time=seen()[-1].time + 0.01).numpy("color")).all()
-    while attachment.watched:
-        assert time.monotonic() - start < 10, "viewers that have left are still there"
-        pipeline.submit(replace(seen()[0], reset=True))
-        time.sleep(0.001)
-    assert len(os.listdir("/proc/self/fd")) < 200, "descriptors stay open"
-
-
-RECORDING = RecordingPlan(3, (W, H), (W, H), FPS)
-
-
-def read_recording(data):
-    """Read the frames that an attached program leaves in shared memory."""
-    kept = recorded(RECORDING, bytearray(data[: RECORDING.nbytes].ljust(RECORDING.nbytes, b"\0")))
-    if kept:
-        found = sequence_of(kept, RECORDING, "program")
-        for entry in found.rendered:
-            found.read(entry)
-
-
-def answer_seed():
-    camera = seen()[1].camera
-    moment = Moment(1, 0.5, 0.05, camera, camera, camera, None)
-    places = {"final": Placed(0, "<f2", (H, W, 4))}
-    specs = {name: FRAME_LAYERS[name] for name in list(FRAME_LAYERS)[:2]}
-    kernels = {"warp": {"splat": 0.5}}
-    options, pacing = Options(), PacingStatistics(rendered=1)
-    return encoded(wire.Seen(moment, places, specs, kernels, 9.0, 0.5, BadPixels(depth=2), 1.0, options, pacing))
-
-
-def recording_seed():
-    memory = bytearray(RECORDING.nbytes)
-    for k, frame in enumerate(seen()):
-        color, depth, motion = RECORDING.images(memory, k)
-        color[..., :3], depth[:], motion[:] = frame.color, frame.depth, frame.motion
-        said = encoded(About(k, frame.time, frame.camera, frame.camera, k == 0, 1.0, {frame.time + 0.01: frame.camera}))
-        RECORDING.about(memory, k)[: len(said)] = np.frombuffer(said, np.uint8)
-        RECORDING.head(memory, k)[:] = 1, 1, len(said)
-    return bytes(memory)
-
-
 def options_seed():
     given = {name: option.default for name, option in OPTIONS.items()}
     return json.dumps(given).encode()
@@ -393,10 +286,6 @@ def read_numbering(form, numbers):
 def targets():
     """Return targets by name, such as "sequence:frame_1.exr"."""
     found = {"camera": Target(camera_seed(), read_camera), "options": Target(options_seed(), read_options, True)}
-    found["attach:request"] = Target(encoded(wire.Use(Options())), read_request, True)
-    found["attach:answer"] = Target(answer_seed(), read_answer)
-    found["attach:recording"] = Target(recording_seed(), read_recording)
-    found["attach:viewers"] = Target(b"seed", read_viewers, drawn=True)
     for form, files in FILES.items():
         for file in files:
 

@@ -23,7 +23,6 @@ import gffe_cl
 
 ENGINE = {"numpy", "platformdirs", "pyopencl", "pytools", "siphash24", "typing_extensions"}  # and what these need
 OPTIONAL = {"cv2", "onnx", "torch"}  # modules that extras bring
-ATTACHED_PROGRAM = Path(__file__).parents[1] / "viewer" / "attached_program.py"
 GFFE = Path(sys.prefix) / "bin" / "gffe"
 XVFB = ("xvfb-run", "-a", "-s", "-screen 0 1920x1200x24")
 W, H = 96, 64
@@ -127,8 +126,8 @@ def use_all_names():
     assert gffe.OPTIONS["shading_correction"]
     described = gffe.FrameFormat(color_type="float32", color_channels=3, motion_invalid=65504.0)
     gffe.Pipeline(device, W, H, options, format=described).submit(frames[0])
-    pipeline, pacer = gffe.Pipeline(device, W, H, options), gffe.Pacer(60)
-    with gffe.attach(pipeline, "used", pacer=pacer):
+    pipeline, _ = gffe.Pipeline(device, W, H, options), gffe.Pacer(60)
+    with gffe.record(pipeline, "seen"):
         for frame in frames:
             pipeline.submit(frame)
             made = pipeline.extrapolate(time=frame.time + 1 / 60)
@@ -192,22 +191,11 @@ def run_all_commands():
 
 
 def view():
-    """Take a screenshot, run a script, and look into a running program."""
+    """Take a screenshot, and run a script."""
     run(*XVFB, GFFE, "view", "rendered", "--screenshot", "shot.png", "--frame", "3")
     Path("steps.txt").write_text("layer frame.motion\nwait 0.2\nshot script.png\n")
     run(*XVFB, GFFE, "view", "rendered", "--script", "steps.txt")
-    Path("attached.txt").write_text("layer frame.filled_by\nwait 0.2\nshot attached.png\n")
-    log, end, name = Path("log.txt"), time.monotonic() + PATIENCE, f"game{os.getpid()}"
-    with subprocess.Popen([sys.executable, "-I", ATTACHED_PROGRAM, name, log]) as program:
-        try:
-            while program.poll() is None and not (log.exists() and log.read_text()):
-                assert time.monotonic() < end, "the attached program renders nothing"
-                time.sleep(0.05)
-            run(*XVFB, GFFE, "view", "--attach", name, "--script", "attached.txt")
-            assert program.poll() is None, "the attached program has ended"
-        finally:
-            program.kill()
-    for name in ("shot", "script", "attached"):
+    for name in ("shot", "script"):
         assert Path(f"{name}.png").read_bytes()[1:4] == b"PNG"
 
 

@@ -173,9 +173,11 @@ def slots(setup, *pairs):
     return [k * (setup.n + 1) + j for k, j in pairs]
 
 
-def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H), exposure=1.0, **given):
-    """(slot → layers) of a pipeline that plays all frames in order; `wanted` slots (k, j)."""
+def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H), exposure=1.0, begin=None, **given):
+    """(slot → layers) of a pipeline that plays all frames in order; `wanted` slots (k, j). `begin` gets it."""
     pipeline = Pipeline(device, *size, setup.options, fps=FPS, **given)
+    if begin:
+        begin(pipeline)
     pipeline.exposure = exposure
     pipeline.keep(["correction.refined", "shading.warped_previous", "shading.input_mask"])
     kept = {}

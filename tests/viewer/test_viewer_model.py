@@ -173,14 +173,6 @@ def test_figures_are_saved_where_the_user_wants_and_taken_as_b(session, tmp_path
     assert model.messages[-1].error and "expected those of the viewer" in model.messages[-1].text
 
 
-def test_while_a_program_is_attached_to_that_is_told(session):
-    model = session.model
-    model.program = SimpleNamespace(name="game", ended=False, close=lambda: None)
-    model.notice, model.engine.open_source = "", lambda make: None
-    model.follow()
-    assert "game" in model.notice
-
-
 def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):
     """A failed reload of kernels or of the sequence, and frames on disk that are others now."""
     shutil.copytree(kernel_folder(), tmp_path / "kernels")

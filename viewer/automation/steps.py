@@ -206,11 +206,6 @@ def _existing(text: str, _app: App) -> str:
     return text
 
 
-def _not_followed(app: App, _place: str) -> None:
-    if app.model.follows:
-        raise GffeError("from: freeze the running program first")
-
-
 def _plane(text: str, _app: App) -> int:
     if not re.fullmatch(r"[1-9][0-9]?", text):
         raise GffeError(f"plane must be a whole number from 1, got '{text}'")
@@ -414,7 +409,7 @@ COMMANDS: dict[str, Command] = {
     "plane": Command("plane N: of the displayed layer, from 1", _plane, _show_plane),
     "from": Command(
         "from FOLDER: B is another sequence, an output of gffe run or kernels, or a file of figures", _existing,
-        lambda app, place: app.model.sides.load_b(place), _not_followed, lasting=True,
+        lambda app, place: app.model.sides.load_b(place), lasting=True,
     ),
     "with": Command("with NAME: the layer to compare with", _text, _with, _layer_fits),
     "compare": Command("compare WAY: off, split, difference, error or flip error", _way, _compare),

@@ -23,7 +23,6 @@ from gffe_cl.engine.opencl.device import Device
 from .messages import Closing, Failure, Frame, Interrupted, Recipe, Setup
 from .reloading import WATCH_SECONDS, Kernels
 from .slot_maker import SlotMaker, weights_of
-from .sources.attached import AttachedSource, RemoteSlots
 from .sources.opening import open_viewer_device
 from .sources.source import FrameSource
 from .sources.stored import StoredSlots, version_of
@@ -81,7 +80,6 @@ class Engine:
         self._kernels: Kernels | None = None
         self._makers: list[SlotMaker] = []  # the first of them has `source`, all others a sibling of it
         self._maker_at_work: SlotMaker | None = None
-        self._remote: RemoteSlots | None = None  # instead of them, of an attached program
         self._stored: StoredSlots | None = None  # the pictures of a setup that are not computed
         self._opened = 0  # sources
 
@@ -213,9 +211,7 @@ class Engine:
         self._maker_at_work = None
         for maker in self._makers:
             maker.drop()
-        self._makers, self._remote, self._stored, self.cuts = [], None, None, {}
-        if isinstance(source, AttachedSource):
-            self._remote = RemoteSlots(source, self._check_while_waiting)
+        self._makers, self._stored, self.cuts = [], None, {}
         with self._news:
             self._opened += 1
             self.source = source
@@ -264,7 +260,7 @@ class Engine:
     def _made(self, want: Want) -> Frame:
         if want.key.recipe.setup.place:
             return self._read(want)
-        frame = (self._remote or self._maker(want)).make(want.key, want.layers)
+        frame = self._maker(want).make(want.key, want.layers)
         known = self.cuts.get(want.key.recipe, frozenset())
         if not frame.cuts <= known:
             self.cuts[want.key.recipe] = known | frame.cuts
@@ -283,9 +279,9 @@ class Engine:
         inspection = self._holding(want).inspect(*want.pixel)
         return Failure("outside of the display", "inspection") if inspection is None else inspection
 
-    def _holding(self, want: Want) -> SlotMaker | RemoteSlots:
+    def _holding(self, want: Want) -> SlotMaker:
         """Return a maker whose buffers hold all layers of that slot, which it makes first if need be."""
-        maker = next((maker for maker in self._makers if maker.holds(want.key)), self._remote)
+        maker = next((maker for maker in self._makers if maker.holds(want.key)), None)
         if maker is None:
             maker = self._maker(want)
             maker.make(want.key, want.layers, to_inspect=True)
@@ -313,13 +309,6 @@ class Engine:
         if self._closing:
             raise Closing
         if want is not None and (self._orders or self.store.next() != want):
-            raise Interrupted
-
-    def _check_while_waiting(self) -> None:
-        """Raise Interrupted if another source is to be opened, Closing if the engine closes: an attached program may be
-        stopped for long."""
-        self._check()
-        if "source" in self._orders:
             raise Interrupted
 
 

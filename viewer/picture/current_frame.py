@@ -223,11 +223,6 @@ class Showing:
         return self.awaited is not None and isinstance(self._store.get(self.awaited.a), Failure)
 
     @property
-    def shows_like_due(self) -> bool:
-        """Whether the picture on the screen has the settings and layers of the one that is due."""
-        return self._due is not None and self.shown is not None and self.shown.is_like(self._due)
-
-    @property
     def shows_due(self) -> bool:
         """Whether the picture that is due is on the screen."""
         return self._due is not None and self.shown == self._due and not self.is_waiting

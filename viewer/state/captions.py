@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 from gffe_cl.engine.inspection import names
-from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.figures import REGIONS
 from ..picture import differences, disocclusions, flip_map
@@ -34,11 +33,6 @@ class Message:
     @property
     def error(self) -> bool:
         return self.kind == "error"
-
-
-def frame_text(moment: Moment) -> str:
-    """Return the name of a running program's frame: the rendered one, or the one that it was generated from and α."""
-    return f"generated: frame {moment.k} + {moment.alpha:.2f}" if moment.alpha else f"rendered frame {moment.k}"
 
 
 def slot_text(slot: int, n: int) -> str:
@@ -199,8 +193,7 @@ class Captions:
         result = self._contents.result
         if result is None:
             return slot_text(self._playback.slot, self._playback.n)
-        follows = self._contents.source.follows
-        return frame_text(result.moment) if follows else slot_text(result.slot, result.setup.n)
+        return slot_text(result.slot, result.setup.n)
 
     def legends(self) -> list[Entry]:
         """Return the legends of the picture."""

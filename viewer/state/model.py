@@ -15,7 +15,6 @@ from gffe_cl.engine.options import Options
 from ..engine.doctor_worker import Doctor
 from ..engine.figures import Figures, Measurements
 from ..engine.messages import Failure, Key, Recipe, Setup
-from ..engine.sources.attached import resolved
 from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Want
@@ -129,9 +128,6 @@ class Model(Opening):
             self.timings = Timings()
         self.comparison.drop_missing()
         self.framing.due = not self.keep_place
-        if self.frozen:
-            self.playback.n = source.generated
-            self.playback.end()
         if not self.keep_place:
             self.undo.forget()
         self.keep_place = False
@@ -148,8 +144,6 @@ class Model(Opening):
             self.preview = preview
             self.screen.preview(preview)
         self.undo.update(now)
-        if self.saving.work is None:  # which would be given up
-            self._take_attached()
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -169,35 +163,28 @@ class Model(Opening):
         self._take_values()
         if self.showing.update(due, self._passes and not self.stopped, self.screen.ready or result is None):
             self._shown()
-        if self.follows and self.showing.shows_due:
-            self.source.flight += 1  # another frame is awaited from now on
         self._derive(canvas)
         self.store.leave(sum(nbytes for name, nbytes in self.held.items() if name != "frames"))
         self.store.want(self._wants(now))
         self.saving.advance(canvas)
 
     def _follow_source(self) -> None:
-        """Take over another render rate that was chosen, more frames of the source, and options that a running program
-        has changed."""
+        """Take over another render rate that was chosen, and more frames of the source."""
         if self.source.live and self.parameters.render_rate != self.plan.fps:
             self.plan = self.plan._replace(fps=self.parameters.render_rate)
             self.reload()
         if (count := self.source.count) != self.playback.count:
             self.playback.extend(count, self.times(count))
-        result = self.contents.result
-        current = self.follows and result is not None and result.setup == self.setup
-        if current and self.setup.options != resolved(self.source.options):  # the program itself has changed them
-            self.parameters.take(self.source.options, None)
 
     @property
     def _passes(self) -> bool:
         """Whether the picture changes by itself, or by dragging: then each one that is begun is shown."""
-        return self.playback.playing or self.playback.scrubbing or self.flying or self.follows
+        return self.playback.playing or self.playback.scrubbing or self.flying
 
     @property
     def _kept_b(self) -> Kept | None:
         """B's settings while anything of them is shown."""
-        return None if self.overview or self.follows else self.comparison.second
+        return None if self.overview else self.comparison.second
 
     @property
     def _layers(self) -> frozenset[str]:
@@ -207,13 +194,13 @@ class Model(Opening):
 
     def _due(self, slot: int) -> Picture:
         """Return the picture of a slot, as it is looked at now."""
-        layers, slot = self._layers, 0 if self.follows else slot
+        layers = self._layers
         flyer = self.flights.at(slot) if self.flying else None
 
         def want(recipe: Recipe, layers: frozenset[str]) -> Want:
             if flyer is not None:
                 return Want(Key(replace(recipe, flight=flyer.flight), slot), layers, keep=False, pose=flyer.pose)
-            return Want(Key(recipe, slot), layers, keep=not self.follows)
+            return Want(Key(recipe, slot), layers)
 
         kept = self._kept_b
         if kept is None:
@@ -230,16 +217,16 @@ class Model(Opening):
             return []
         wants = list(showing.wants)
         if awaited is not None and self.inspects and not self.showing.failed:
-            wants += self.pointing.wants(awaited.a.key, self.follows)
+            wants += self.pointing.wants(awaited.a.key)
         wants += showing.following
-        result, beside = self.contents.result, not (self.flying or self.overview or self.saving.work or self.follows)
+        result, beside = self.contents.result, not (self.flying or self.overview or self.saving.work)
         kept = self.kept.b
-        idle = not (self.flying or self.saving.work or self.playback.playing or self.follows) and not showing.is_waiting
+        idle = not (self.flying or self.saving.work or self.playback.playing) and not showing.is_waiting
         a = Side(self.setup, self.recipe)
         b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
         here = Here(
             self.slot, a, b, tuple(self.contents.layers), self.view.a, self.pointing.picked,
-            range(self.playback.first, self.playback.last + 1), self.source.exposure, self.follows,
+            range(self.playback.first, self.playback.last + 1), self.source.exposure,
             self.engine.recipe, self.contents.frame_info,
         )  # fmt: skip
         wants += self.studies.update(here, idle and result is not None)
@@ -256,7 +243,6 @@ class Model(Opening):
         fault = self.pointing.update()
         if fault and not self.showing.failed and fault != self._inspection_fault:
             self.say(fault, error=True)
-            self._failed_attached()
         self._inspection_fault = fault
         self.measured.update()
         for fault in dict.fromkeys(self.measured.faults):
@@ -305,7 +291,6 @@ class Model(Opening):
             self.failure = None
         else:
             self.say(failure.error, error=True)
-            self._failed_attached()
             self.playback.pause()
         self.previewer = self.preview = None
         self.saving.cancel()
@@ -399,7 +384,7 @@ class Model(Opening):
     def busy(self) -> bool:
         """Whether the engine works on anything that the picture waits for, or that was asked for."""
         waits = self.showing.is_waiting and not self.stopped
-        return self.engine.busy or waits or self._attaching is not None
+        return self.engine.busy or waits
 
     @property
     def settled(self) -> bool:
@@ -407,12 +392,6 @@ class Model(Opening):
         result = self.contents.result
         if result is None:
             return False
-        if self.follows:  # there is always another frame to come
-            return (
-                self.showing.shows_like_due
-                and self.screen.ready
-                and not (self.pointing.picked and self.pointing.story is None)
-            )
         return (
             self.showing.shows_due
             and self._layers == result.layers
@@ -428,7 +407,7 @@ class Model(Opening):
     @property
     def current(self) -> bool:
         """Whether a still picture shows the playhead's slot, made with the present settings, kernels and frames."""
-        if self.contents.result is None or self.follows or self.flying or self.playback.playing:
+        if self.contents.result is None or self.flying or self.playback.playing:
             return True
         return self.showing.shows_slot_due
 
@@ -449,8 +428,6 @@ class Model(Opening):
             found.append(f"reading it again failed: {self.reload_fault}. The earlier version is shown")
         if self.source is not None and self.source.changed_on_disk:
             found.append("files on disk have changed: Ctrl+R reads them again")
-        if self.frozen and self.program is not None and self.program.ended:
-            found.append("the program has ended: L follows the next one of its name")
         return found
 
     def set(self, name: str, value: Any) -> None:
@@ -498,9 +475,8 @@ class Model(Opening):
         if not self._save_settings:
             return
         self.settings.window_size = window_size
-        if self.program is None:  # else they are the program's
-            self.settings.playback = self.playback.preferences()
-            self.settings.options = self.parameters.preferences()
+        self.settings.playback = self.playback.preferences()
+        self.settings.options = self.parameters.preferences()
         self.settings.compare = self.comparison.preferences()
         self.settings.kept = self.kept.preferences()
         warning = self.settings.save()
@@ -512,16 +488,12 @@ class Model(Opening):
         if self._closed:
             return
         self._closed = True
-        self._stop_attaching()
-        self._background.close()
         self.saving.close()
         for part in (
             self.comparison, self.regions, self.invalid, self.histogram, self.worst, self.selection, self.measured,
             self.engine,
         ):  # fmt: skip
             part.close()
-        if self.program is not None:
-            self.program.close()
 
     @property
     def left_working(self) -> bool:

@@ -87,8 +87,7 @@ class Parameters:
 
     def __init__(self, options: Options, playback: Playback, window: str | None = None):
         self._setup, self._setup_of = Setup(), None  # the last request, and its inputs
-        self._always = ALWAYS
-        self.options = replace(options, **self._always)
+        self.options = replace(options, **ALWAYS)
         self.window = window
         self.render_rate: float | None = None  # of built-in scenes, frames per second; None: the scene's
         self.network_fault: str | None = None
@@ -96,16 +95,13 @@ class Parameters:
         self._source: Any = None  # a FrameSource, once something is open
 
     def open(self, source: FrameSource) -> None:
-        """Take over another source: its windows are others, and a running program brings its own options."""
+        """Take over another source: its windows are others."""
         self._source = source
-        self._always = ALWAYS if source.options is None else {}  # nothing is added to a program's own
-        self.options = replace(source.options or self.options, **self._always)
         if source.live:
             self.window = self.window or "off"
         else:
             self.window = "off" if self.window == "off" else None
-        if source.options is None:
-            self.set(UPSCALING, self.options.upscale)
+        self.set(UPSCALING, self.options.upscale)
 
     @property
     def setup(self) -> Setup:
@@ -125,8 +121,6 @@ class Parameters:
 
     def _applies(self, name: str) -> bool:
         live = {"window": False, "scene_window": True, "render_rate": True}
-        if self._source is not None and self._source.follows and name in ("window", "n"):
-            return False
         return name not in live or (self._source is not None and self._source.live == live[name])
 
     def why_not(self, name: str) -> str | None:
@@ -205,7 +199,7 @@ class Parameters:
     def take(self, options: Options, window: str | None) -> None:
         """Set options and window at once. An earlier failure of shading correction is forgotten."""
         self.network_fault = None
-        self.options, self.window = replace(options, **self._always), window
+        self.options, self.window = replace(options, **ALWAYS), window
 
     def use_preset(self, name: str) -> None:
         """Set the options that presets set to those of preset `name`. An earlier failure of shading correction is

@@ -1,4 +1,4 @@
-"""Saving: pictures, layers, videos, recordings and figures, in the background."""
+"""Saving: pictures, layers, videos and figures, in the background."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.captures.formats.importing import import_capture
-from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from ..engine.background import Background
 from ..picture.canvas import read
@@ -154,22 +152,6 @@ class LayersWork(Work):
     def _write(self, result) -> str:
         saved = save_layers_exr(self.path, result.images, result.specs, lambda: self._cancelled, self._count)
         return f"saved {len(saved)} layers in {self.path}" if saved else "saving the layers was cancelled"
-
-
-class RecordingWork(Work):
-    """Writing of a running program's frames as a sequence in a new folder."""
-
-    def __init__(self, subject: Subject, recording: Callable[[], Sequence]):
-        sequence = recording()
-        super().__init__(subject, subject.unused("recorded", ""), len(sequence.rendered))
-        self._start(lambda: self._write(sequence))
-
-    def _write(self, sequence: Sequence) -> str:
-        report = import_capture(sequence, self.path, on_frame=self._count)
-        return f"wrote {report.rendered} rendered frames: gffe check {self.path}"
-
-    def _proceed(self, canvas):
-        """Do nothing: all is done on the thread."""
 
 
 class FiguresWork(Work):

@@ -50,8 +50,6 @@ class Here:
     slots : range
         Between the in and the out point.
     exposure : float
-    follows : bool
-        A running program is displayed live.
     recipe, info : callable
         Return the recipe of a setup, and the frame of reference of a frame's layers.
     """
@@ -64,7 +62,6 @@ class Here:
     pixel: tuple[int, int] | None
     slots: range
     exposure: float
-    follows: bool
     recipe: Callable[[Setup], Recipe]
     info: Callable[[Frame], FrameInfo]
 
@@ -104,10 +101,6 @@ class Study:
 
     def why_not(self, here: Here) -> str | None:
         """Return why there is no answer here; None if there is one."""
-        return "freeze the running program first" if here.follows else self._lacks(here)
-
-    def _lacks(self, here: Here) -> str | None:
-        """Return why there is no answer for a source that is not followed."""
         raise NotImplementedError
 
     def subject(self, here: Here) -> Hashable:
@@ -231,7 +224,7 @@ class Difference:
 class Differing(Study):
     """Differences of every layer of this frame between A's and B's settings, in the order of the stages."""
 
-    def _lacks(self, here: Here) -> str | None:
+    def why_not(self, here: Here) -> str | None:
         return NO_B if here.b is None else None
 
     def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
@@ -323,7 +316,7 @@ def difference(spec: LayerSpec, a: Frame, b: Frame, info: FrameInfo) -> Differen
 class Ablation(Study):
     """Gain of each module in this frame, dB of PSNR, over the whole image and by region of A."""
 
-    def _lacks(self, here: Here) -> str | None:
+    def why_not(self, here: Here) -> str | None:
         if here.slot % (here.a.setup.n + 1) == 0:
             return "a rendered frame: modules work on generated ones"
         if all(spec.name != names.TRUTH for spec in here.layers):
@@ -375,7 +368,7 @@ def without(setup: Setup, module: str) -> Setup:
 class OverTime(Study):
     """The row of the displayed layer through the picked pixel, in every slot between the in and the out point."""
 
-    def _lacks(self, here: Here) -> str | None:
+    def why_not(self, here: Here) -> str | None:
         spec = next((spec for spec in here.layers if spec.name == here.shown), None)
         if here.pixel is None or spec is None:
             return "click a pixel of the picture: its row is shown in every frame"

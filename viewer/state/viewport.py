@@ -93,13 +93,10 @@ class Pointing:
         self._size, self._wants = size, []
         self.inspection = self.pinned = self.story = self.picked = self._inspected = self._told = None
 
-    def wants(self, key: Key, follows: bool) -> list[Want]:
-        """Return the pixels that are wanted of the awaited slot, the picked one first. `follows`: it is of a running
-        program, which is asked anew only after an answer."""
+    def wants(self, key: Key) -> list[Want]:
+        """Return the pixels that are wanted of the awaited slot, the picked one first."""
         pixels = list(dict.fromkeys(pixel for pixel in (self.picked, self._hovered) if pixel is not None))
-        waits = any(self._store.get(want) is None for want in self._wants)
-        if not (follows and waits and pixels == [want.pixel for want in self._wants]):
-            self._wants = [Want(key, pixel=pixel, keep=False) for pixel in pixels]
+        self._wants = [Want(key, pixel=pixel, keep=False) for pixel in pixels]
         return self._wants
 
     def update(self) -> str:
@@ -135,7 +132,7 @@ class Pointing:
 
     def _is_shown(self, key: Key | None) -> bool:
         result = self._contents.result
-        return result is not None and (self._contents.source.follows or key == result.key)
+        return result is not None and key == result.key
 
     @property
     def _pixel(self) -> Pixel | None:

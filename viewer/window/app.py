@@ -152,7 +152,7 @@ class App(Workspace):
             self.docks.show("Inspector")
         self._told = told
         self.at_work = model.playback.playing or model.flying or model.busy or not model.comparison.ready
-        self.at_work |= model.survey.busy or model.studies.busy or not model.regions.ready or model.follows
+        self.at_work |= model.survey.busy or model.studies.busy or not model.regions.ready
         assert self._params is not None and self._params.fps_idling is not None  # it runs
         self._params.fps_idling.enable_idling = self.may_idle and not self.at_work
 

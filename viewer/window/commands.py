@@ -35,20 +35,11 @@ def register(app: Workspace) -> None:
     def live():
         return opened() or (None if model.source.live else "only in a built-in scene")
 
-    def attached():
-        return None if model.program is not None else "no program is attached to: gffe view --attach NAME"
-
-    def still():
-        return opened() or ("freeze the running program first" if model.follows else None)
-
     def recorded():
-        return still() or (None if not model.source.live else "only of recorded frames")
+        return opened() or (None if not model.source.live else "only of recorded frames")
 
     def on_disk():
         return opened() or (None if model.source.target else "only of a sequence on disk or a scene")
-
-    def play():
-        model.freeze() if model.follows else model.playback.toggle()
 
     def savable():
         return opened() or ("something is being saved" if model.saving.work is not None else None)
@@ -74,28 +65,9 @@ def register(app: Workspace) -> None:
     add("legends", "Legends in saved pictures", "File", "",
         lambda: setattr(model.settings, "legends", not model.settings.legends),
         checked=lambda: model.settings.legends)  # fmt: skip
-    add("attach", "Attach …", "Program", "",
-        lambda: app.open_path.open(model.attach_to, "Name of a running program that has called gffe_cl.attach"),
-        tooltip="Look for a running program in the background, and follow it")  # fmt: skip
-    add("follow", "Follow the program", "Program", "L", lambda: model.freeze() if model.follows else model.follow(),
-        attached, checked=lambda: model.follows,
-        tooltip="On: its frames as they come, also of the next program of its name. "
-        "Off: its last rendered frames, frozen")  # fmt: skip
-    add("save_recording", "Write the last frames", "Program", "Ctrl+Shift+S",
-        partial(model.saving.start, partial(saving.RecordingWork, recording=model.recording)),
-        lambda: attached() or savable() or (None if model.follows or model.frozen else "something else is open"),
-        tooltip="The rendered frames as a sequence, for gffe check")  # fmt: skip
     add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
 
-    add(
-        "play",
-        "Play / stop",
-        "Playback",
-        "Space",
-        play,
-        opened,
-        tooltip="Play or stop; freezes the picture of a running program",
-    )
+    add("play", "Play / stop", "Playback", "Space", playback("toggle"), opened)
     add("step", "Next frame", "Playback", "Right", playback("step", 1), opened, repeat=True)
     add("step_back", "Previous frame", "Playback", "Left", playback("step", -1), opened, repeat=True)
     add(
@@ -237,11 +209,11 @@ def _comparing(app: Workspace, add, opened) -> None:
         lambda: opened() or no_settings())  # fmt: skip
     add("b_from", "B from a folder …", "Compare", "Ctrl+K",
         lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.sides.take_b_from),
-        lambda: opened() or ("freeze the running program first" if model.follows else None),
+        opened,
         tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels")  # fmt: skip
     add("b_baseline", "B from stored figures …", "Compare", "Alt+B",
         lambda: app.open_dialog("Compare with stored figures", model.sides.take_b_from, of_file=True),
-        lambda: opened() or ("freeze the running program first" if model.follows else None),
+        opened,
         tooltip="A baseline that the viewer has stored, or the JSON of gffe compare: its figures are B's")  # fmt: skip
     add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
         tooltip="Copy the command gffe run … with the present settings")  # fmt: skip

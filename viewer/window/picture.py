@@ -322,7 +322,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
     state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
-    if not (model.comparison.ready and model.current) or (model.busy and not (model.playback.playing or model.follows)):
+    if not (model.comparison.ready and model.current) or (model.busy and not model.playback.playing):
         state = model.waiting_text if model.failure is None or model.busy else f"not this frame: {model.failure}"
     if state:
         state = widgets.cut(state, width - 24)

@@ -65,11 +65,9 @@ def _beside(something: bool) -> None:
 
 
 def parts(model: Model) -> list[str]:
-    """Return the texts of the status bar: device or running program, the open sequence, its time, and the value under
+    """Return the texts of the status bar: the device, the open sequence, its time, and the value under
     the pointer."""
     told = [model.engine.device_name or "opening the device …"]
-    if model.follows and (program := model.program) is not None:
-        told = [f"attached to '{program.name}' (process {program.about.pid}), {program.about.device}"]
     if model.source is not None:
         info = model.source
         told.append(f"{info.name}   {info.width}×{info.height}")
@@ -77,8 +75,7 @@ def parts(model: Model) -> list[str]:
             told.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
     if model.contents.result is not None:
         kept = "from the cache, " if model.from_cache else ""
-        took = f"{model.contents.result.wall_ms:.0f} ms"
-        told.append(f"frame after {took}" if model.follows else f"{kept}computed in {took}{_build(model)}")
+        told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms{_build(model)}")
     return [*told, *model.warnings, *_under_pointer(model)]
 
 

@@ -8,7 +8,6 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from ..state.captions import frame_text
 from ..state.model import Model
 from . import widgets
 from .interface import Interface
@@ -29,39 +28,15 @@ def draw(app: Interface) -> None:
     if model.source is None:
         imgui.text_disabled(model.notice or "Open a sequence or a scene")
         return
-    if model.follows:
-        _following(app)
-        return
     _bar(model)  # first: where the window is low, it is there
     imgui.dummy(ImVec2(0, 0))
     _transport(app)
-
-
-def _following(app: Interface) -> None:
-    """Draw the timeline of a running program: the displayed frame, and actions for it."""
-    model, result = app.model, app.model.contents.result
-    with widgets.in_rows(indent=0.0) as row:
-        for name, icon, text in (
-            ("follow", icons.ICON_FA_SNOWFLAKE, "Freeze"),
-            ("save_recording", icons.ICON_FA_FLOPPY_DISK, "Write the last frames"),
-        ):
-            row(imgui.calc_text_size(text).x + hello_imgui.em_size(3))
-            widgets.action_button(app.actions, name, f"{icon} {text}", 0)
-        row(hello_imgui.em_size(_LEAST_STATUS))
-        imgui.align_text_to_frame_padding()
-        if result is None:
-            imgui.text(f"waiting for a frame of '{model.source.name}'")
-        else:
-            imgui.text(f"live: {frame_text(result.moment)}   t = {result.moment.time:.3f} s")
 
 
 def _transport(app: Interface) -> None:
     """Draw the controls side by side, in as many rows as they need."""
     playback, width = app.model.playback, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:
-        if app.model.frozen and app.model.program is not None and not app.model.program.ended:
-            row(width(2))
-            widgets.action_button(app.actions, "follow", icons.ICON_FA_TOWER_BROADCAST, 2)
         for name, icon in (
             ("first", icons.ICON_FA_BACKWARD_FAST),
             ("step_back", icons.ICON_FA_BACKWARD_STEP),

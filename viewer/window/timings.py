@@ -20,9 +20,8 @@ def draw(app: Interface) -> None:
         imgui.text_disabled("nothing computed yet")
         return
     imgui.text_wrapped(
-        f"interface {imgui.get_io().framerate:.0f} frames/s   {'since its last frame' if model.follows else 'frame'}"
-        f" {model.timings.wall():.1f} ms   {'looking' if model.follows else 'reading back'}"
-        f" {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
+        f"interface {imgui.get_io().framerate:.0f} frames/s   frame {model.timings.wall():.1f} ms"
+        f"   reading back {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
     )
     held, mib = model.held, 1 << 20
     told = ", ".join(f"{name} {nbytes / mib:.0f}" for name, nbytes in held.items())
@@ -52,32 +51,12 @@ def draw(app: Interface) -> None:
         imgui.text("all")
         _cost(columns, sum(means.values()), None, None)
         imgui.end_table()
-    if model.follows and model.program is not None and model.program.pacing:
-        _pacing(list(model.program.pacing))
     flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table has the legend
     if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), flags):
         flags = implot.AxisFlags_.auto_fit.value
         implot.setup_axes("computed frame", "ms", flags, flags)
         for name, values in model.timings.stages.items():
             implot.plot_line(name, np.array(values, np.float64))
-        implot.end_plot()
-
-
-def _pacing(told: list) -> None:
-    """Draw the statistics of the program's pacer, and their plot over the frames that were seen."""
-    last = told[-1]
-    imgui.text_wrapped(
-        f"paced: {last.rendered} rendered, {last.extrapolated} extrapolated, {last.held} held; {last.late} late,"
-        f" {last.dropped} dropped; jitter {last.jitter:.1f} ms"
-    )
-    if implot.begin_plot("###pacing", ImVec2(-1, hello_imgui.em_size(9)), implot.Flags_.no_mouse_text.value):
-        fit = implot.AxisFlags_.auto_fit.value
-        implot.setup_axes("frame seen", "jitter, ms", fit, fit)
-        implot.setup_axis(implot.ImAxis_.y2, "frames", fit | implot.AxisFlags_.aux_default.value)
-        implot.plot_line("jitter", np.array([one.jitter for one in told]))
-        implot.set_axis(implot.ImAxis_.y2)
-        for name in ("late", "dropped"):
-            implot.plot_line(name, np.array([getattr(one, name) - getattr(told[0], name) for one in told], np.float64))
         implot.end_plot()
 
 

@@ -1,1 +1,1 @@
-"""A pipeline looked into: its layers, the values and the story of a pixel, and `attach` for other processes."""
+"""A pipeline looked into: its layers, and the values and the story of a pixel."""

@@ -134,30 +134,18 @@ def device_layers(pipeline: Pipeline, shot: Shot) -> dict[str, DeviceLayer]:
 def read_layers(pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iterable[str]) -> dict[str, np.ndarray]:
     """Return those of `wanted` that exist, each (planes?, H, W, channels?) in an array of its own, with one wait for
     all."""
-    events, finish = start_reading(pipeline, layers, wanted)
-    if events:
-        cl.wait_for_events(events)
-    return finish()
-
-
-def start_reading(
-    pipeline: Pipeline, layers: dict[str, DeviceLayer], wanted: Iterable[str]
-) -> tuple[list[cl.Event], Callable[[], dict[str, np.ndarray]]]:
-    """Start `read_layers` without waiting. Returns events, and a function that returns the images after them."""
     queue = pipeline.device.queue
     layers = {name: layers[name] for name in wanted if name in layers}
     read = {name: layer.read(queue) for name, layer in layers.items()}
     known = {name: layer.read_known(queue) for name, layer in layers.items()}
-
-    def finish() -> dict[str, np.ndarray]:
-        values = {}
-        for name, (stored, _) in read.items():
-            spec = layers[name].spec
-            found = spec.values(stored, known[name][0]())
-            values[name] = found if spec.channels > 1 else found[..., 0]
-        return values
-
-    return [event for _, event in read.values()] + [e for _, events in known.values() for e in events], finish
+    if events := [event for _, event in read.values()] + [e for _, waited in known.values() for e in waited]:
+        cl.wait_for_events(events)
+    values = {}
+    for name, (stored, _) in read.items():
+        spec = layers[name].spec
+        found = spec.values(stored, known[name][0]())
+        values[name] = found if spec.channels > 1 else found[..., 0]
+    return values
 
 
 def source_position(pipeline: Pipeline, shot: Shot, x: int, y: int) -> tuple[float, float] | None:

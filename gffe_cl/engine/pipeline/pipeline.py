@@ -29,7 +29,7 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.frames import Display, RenderedFrames, checked_moment
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.outputs import Outputs, board_of
-from gffe_cl.engine.pipeline.turns import Turns, Watcher, pipeline_call
+from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
@@ -111,7 +111,8 @@ class Pipeline:
         forced = int64_atomics
         self._int64_atomics = None if forced is None else require_bool(forced, "pipeline: int64_atomics")
         self._exposure = 1.0
-        self.watcher: Watcher | None = None
+        # Called with each submitted frame, and whether the one before was found to be a cut. It must not raise.
+        self.watcher: Callable[[Pipeline, RenderedFrame, bool], None] | None = None
         self.intake = Intake(device, self.sizes)
         self._begin(self.options)
 
@@ -238,10 +239,9 @@ class Pipeline:
         events = adopted_events(wait_for, self.device.context, "submit: wait_for")
         if not frame.reset:
             self.frames.require_later(frame.time)
-        if self.watcher:
-            self.watcher.before(self, rendered=True)
         self._settle()
         self._decide_cut()
+        was_cut = bool(self._is_cut)
         wait_for_all(self.device.queue, events)
         board, frames = self.board, self.frames
         before = frames.previous, frames.current
@@ -256,7 +256,7 @@ class Pipeline:
         done = worked or marker(self.device.queue)
         self.intake.leave(done, before)
         if self.watcher:
-            self.watcher.submitted(self, frame, shown)
+            self.watcher(self, frame, was_cut)
         return done
 
     def _take_rendered(self) -> cl.Event | None:
@@ -352,8 +352,6 @@ class Pipeline:
         frames = self.frames
         self._decide_cut()
         step = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
-        if self.watcher:
-            self.watcher.before(self)
         self._finish()
         wait_for_all(self.device.queue, events)
         correction = self._correction
@@ -376,10 +374,7 @@ class Pipeline:
         assert step.camera is not None
         shown = step.camera, step.time, color, depth, motion, self.device, self.sizes.target
         about = step.alpha, step.frame.time, dynamic, disoccluded, filled_by, gae, self._unfinished
-        frame = ExtrapolatedFrame(*shown, *about, _event=worked or marker(self.device.queue))
-        if self.watcher:
-            self.watcher.extrapolated(self, frame)
-        return frame
+        return ExtrapolatedFrame(*shown, *about, _event=worked or marker(self.device.queue))
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:

@@ -1,19 +1,15 @@
-"""Calls of a pipeline: one thread at a time, and those who watch."""
+"""Calls of a pipeline: one thread at a time."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from functools import wraps
 from threading import RLock
-from typing import Any, Protocol
 
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device_errors import device_fault
-from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame
-from gffe_cl.engine.stages.buffers import DeviceFrame
 
 
 class Turns:
@@ -52,18 +48,3 @@ def pipeline_call(method: Callable) -> Callable:
             self.turns.calling.release()
 
     return wrapped
-
-
-class Watcher(Protocol):
-    """Contract of `Pipeline.watcher`. The argument `pipeline` is the one that calls. Methods raise nothing."""
-
-    def before(self, pipeline: Any, rendered: bool = False) -> None:
-        """React to a frame that will be made. `rendered`: a rendered one is being submitted; options may be changed
-        now."""
-
-    def submitted(self, pipeline: Any, frame: RenderedFrame, on_device: DeviceFrame) -> None:
-        """React to `frame`, which was submitted. Its pixels are `on_device`; all work that is due for it is
-        enqueued."""
-
-    def extrapolated(self, pipeline: Any, frame: ExtrapolatedFrame) -> None:
-        """React to `frame`, which was extrapolated: its kernels are enqueued."""

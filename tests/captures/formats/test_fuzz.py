@@ -8,16 +8,13 @@ from fuzz_targets import FILES, Target, check, mutated, targets
 
 from gffe_cl import GffeError
 
-ATTACH = ("attach:request", "attach:answer", "attach:recording")
 NAMES = (
     "camera",
     "options",
-    *ATTACH,
     *(f"{form}:{Path(file).name}" for form, files in FILES.items() for file in files),
 )
 DRAWN = (*(f"{form}:attributes" for form in ("sequence", "blender", "unreal")),)
 DRAWN += ("unreal:numbering",)
-DRAWN += (pytest.param("attach:viewers", marks=pytest.mark.device),)
 CASES = sorted((Path(__file__).parent / "fuzz_cases").glob("*-*"))
 MUTATIONS = 12
 

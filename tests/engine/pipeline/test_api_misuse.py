@@ -53,7 +53,7 @@ WRONG = (
 # they are used; what is made by others only.
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",
-    "Pipeline.keep", "Pipeline.change_options", "attach", "present",
+    "Pipeline.keep", "Pipeline.change_options", "present", "record",
     "Device.buffer", "Device.empty", "Device.from_context", "sharing_support",
 }  # fmt: skip
 WITH_A_FAKE_DRIVER = {
@@ -355,10 +355,10 @@ def device_calls(pipeline, frame):
         ),
         "Pipeline.keep": Call(pipeline.keep, {"names": ["warp.color"]}),
         "Pipeline.change_options": Call(other.change_options, {"options": other.options}),
-        "attach": Call(
-            lambda **given: gffe_cl.attach(**given).close(), {"pipeline": other, "name": "misuse", "pacer": None}
-        ),
         "Pipeline.exposure": exposed,
+        "record": Call(
+            lambda **given: gffe_cl.record(**given).close(), {"pipeline": other, "folder": Path("seen"), "most": 3}
+        ),
         "ExtrapolatedFrame.numpy": Call(made.numpy, {"name": "gae"}),
         "PresentedFrame.numpy": Call(pipeline.present().numpy, {"name": "depth"}),
         "present": Call(gffe_cl.present, through),
@@ -442,7 +442,8 @@ def bits(pipeline):
     return [made.numpy(name).tobytes() for name in ("color", "depth", "motion", "filled_by")]
 
 
-def test_misuse_leaves_a_pipeline_that_works(device):
+def test_misuse_leaves_a_pipeline_that_works(device, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # some values are paths, from here
     pipeline = Pipeline(device, W, H, Options(shading_correction=False))
     right = bits(pipeline)
     calls = device_calls(pipeline, next(frames()))

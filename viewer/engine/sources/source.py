@@ -13,7 +13,6 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.inspection.explain.motion_trail import REMEMBERED
-from gffe_cl.engine.options import Options
 
 CACHE_BYTES = 512 << 20  # of frames that a source keeps
 
@@ -24,13 +23,10 @@ class FrameSource(Source, Protocol):
 
     `target`: how the user named it; `render_size` may change with `configure`; `live`: rendered meanwhile, the camera
     may be flown; `windowed`: rendered through a window that can be used or not; `flight`: another number whenever other
-    poses are flown, 0 for none, or another frame of a running program is awaited; `held`: of the frames delivered last,
-    so many stay as they are; `follows`: shows what a running program does: the only slot is another frame whenever it
-    is asked for; `options`: of the running program that the frames are from; `generated`: its new frames after each
-    rendered one; `suspicions`: sentences about the whole, more of them may come; `changed_on_disk`: files of its
-    frames are others than when it was opened; `nbytes`: bytes of frames that it keeps, unless the source that it is
-    a sibling of counts them; `is_checked`: whether no check of the whole is under way; `format`: the description of
-    `stored` frames.
+    poses are flown, 0 for none; `held`: of the frames delivered last, so many stay as they are; `suspicions`: sentences
+    about the whole, more of them may come; `changed_on_disk`: files of its frames are others than when it was opened;
+    `nbytes`: bytes of frames that it keeps, unless the source that it is a sibling of counts them; `is_checked`:
+    whether no check of the whole is under way; `format`: the description of `stored` frames.
     """
 
     target: str = ""
@@ -39,9 +35,6 @@ class FrameSource(Source, Protocol):
     has_truth: bool = False
     flight: int = 0
     held: int = REMEMBERED
-    follows: bool = False
-    options: Options | None = None
-    generated: int = 1
     suspicions: Iterable[str] = ()
     changed_on_disk: bool = False
     nbytes: int = 0

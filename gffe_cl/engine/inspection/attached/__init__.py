@@ -1,1 +1,0 @@
-"""Attached programs: their own side, and the messages between them and a viewer."""
