@@ -9,7 +9,7 @@
 
 #include "frame.h"
 
-/* What set the thresholds: docs/hud.md, "Measured". */
+/* What set the thresholds: docs/guide.md, "A user interface". */
 #define PAIRS 2            /* pairs of frames that must give evidence */
 #define LEAST_MARKED 8            /* pixels with so many, of the 5x5 around, make a user interface */
 #define MARKED_AROUND 2           /* px: of these 5x5 */

@@ -1,15 +1,12 @@
 """Builds every program for GPUs that are not there, and records what each kernel costs on them.
 
     python docs/tools/gpu_compilers.py --setup FOLDER             fetches the compilers of Debian 12 and PyPI: 0.7 GB
-    python docs/tools/gpu_compilers.py --setup FOLDER --rocm      also those of Debian's development release, which are
-                                                                  newer, with AMD's own OpenCL runtime: 2 GB more
+    python docs/tools/gpu_compilers.py --setup FOLDER --newer     also those of Debian's development release: 1 GB more
     GFFE_GPU_COMPILERS=FOLDER python docs/tools/gpu_compilers.py  builds, in every form that a GPU gets; records into
-                                                                  docs/measured/gpu_compilers.json; writes the tables
-    GFFE_GPU_COMPILERS=FOLDER python docs/tools/gpu_compilers.py --rocm      builds with AMD's own runtime, too (root)
-    python docs/tools/gpu_compilers.py --tables                   only writes the tables, from what is recorded
+                                                                  docs/measured/gpu_compilers.json; writes the table
+    python docs/tools/gpu_compilers.py --tables                   only writes the table, from what is recorded
 
-Nothing is installed. It needs x86-64 Linux with apt and pip; `--rocm` a C compiler and root. Exit code 1 if a program
-does not build.
+Nothing is installed. It needs x86-64 Linux with apt and pip. Exit code 1 if a program does not build.
 """
 
 from __future__ import annotations
@@ -28,13 +25,8 @@ from pages import DOCS, MEASURED, recorded, table, with_all
 
 PAGE, RECORD = DOCS / "portability.md", MEASURED / "gpu_compilers.json"
 MIRROR, KEYRING = "http://deb.debian.org/debian", "/usr/share/keyrings/debian-archive-keyring.gpg"
-RELEASE = (
-    "clang-19", "lld-19", "libclc-19", "rocm-device-libs", "intel-opencl-icd",
-)  # fmt: skip
-DEVELOPMENT = (
-    "bash", "coreutils", "clang-22", "lld-22", "rocm-device-libs-21", "rocm-opencl-icd", "ocl-icd-libopencl1",
-    "intel-ocloc", "libigc2", "libigdfcl2",
-)  # fmt: skip
+RELEASE = ("clang-19", "lld-19", "libclc-19", "rocm-device-libs", "intel-opencl-icd")
+DEVELOPMENT = ("clang-22", "lld-22", "rocm-device-libs-21", "intel-ocloc", "libigc2", "libigdfcl2")
 PYTHON = ("nvidia-cuda-nvcc", "nvidia-cuda-nvdisasm")
 GPUS = ("sm_86", "gfx1030", "gfx1100", "dg2-g10")
 
@@ -42,7 +34,7 @@ GPUS = ("sm_86", "gfx1030", "gfx1100", "dg2-g10")
 # ---- fetching ----------------------------------------------------------------------------------------------------
 
 
-def set_up(folder: Path, with_rocm: bool) -> None:
+def set_up(folder: Path, newer: bool) -> None:
     """Fetch the compilers into `folder`."""
     folder = folder.resolve()
     pip = (
@@ -58,11 +50,8 @@ def set_up(folder: Path, with_rocm: bool) -> None:
     )
     subprocess.run([*pip, folder / "python", *PYTHON], check=True)
     unpack(folder / "release", "bookworm", RELEASE)
-    if with_rocm:
+    if newer:
         unpack(folder / "sid", "sid", DEVELOPMENT)
-        (folder / "sid/tmp").mkdir(exist_ok=True)
-        offline = Path(__file__).with_name("rocm_offline.c")
-        subprocess.run(["cc", "-O1", "-o", folder / "sid/rocm_offline", offline, "-ldl"], check=True)
 
 
 def unpack(folder: Path, release: str, packages: Iterable[str]) -> None:
@@ -99,9 +88,9 @@ def mirror() -> str:
 # ---- building ----------------------------------------------------------------------------------------------------
 
 
-def record(with_rocm: bool) -> list[str]:
+def record() -> list[str]:
     """Build everything and record it. Returns what does not build, a line each."""
-    from vendor_compilers import COMPILERS, FILES, Rocm, argument_bytes, build_all, compilers_folder
+    from vendor_compilers import COMPILERS, FILES, argument_bytes, build_all, compilers_folder
 
     from gffe_cl.engine.opencl.program import expand
 
@@ -111,7 +100,7 @@ def record(with_rocm: bool) -> list[str]:
         for kernel, size in argument_bytes(expand(f"{name}.cl")).items()
     }
     builds, failed = recorded("gpu_compilers")["builds"] if RECORD.exists() else {}, []
-    for kind in (*COMPILERS, *([Rocm] if with_rocm else [])):
+    for kind in COMPILERS:
         compiler = kind(compilers_folder())
         built = build_all(compiler)
         failures = [f"{one.program} ({one.form}) for {one.gpu}: {one.failure}" for one in built if one.failure]
@@ -125,13 +114,13 @@ def record(with_rocm: bool) -> list[str]:
                 kernels[f"{one.program}.{kernel}"][one.gpu] = asdict(cost) | {"occupancy": round(cost.occupancy, 3)}
         print(f"{kind.vendor}: {len(built) - len(failures)} of {len(built)} build; {compiler.version}")
     if missing := set(GPUS).difference(*(costs for costs in kernels.values())):
-        print(f"not recorded: these compilers do not know {', '.join(sorted(missing))} (--setup FOLDER --rocm)")
+        print(f"not recorded: these compilers do not know {', '.join(sorted(missing))} (--setup FOLDER --newer)")
         return failed
     RECORD.write_text(json.dumps({"builds": builds, "kernels": kernels}, indent=1) + "\n")
     return failed
 
 
-# ---- tables ------------------------------------------------------------------------------------------------------
+# ---- table -------------------------------------------------------------------------------------------------------
 
 
 def builds_table() -> str:
@@ -143,25 +132,7 @@ def builds_table() -> str:
     return table(("compiler of", "for", "versions", "on", "programs that build, in all forms"), rows)
 
 
-def costs_table() -> str:
-    """Return the table of what each kernel costs."""
-    rows = []
-    for name, costs in recorded("gpu_compilers")["kernels"].items():
-        *registers, intel = (costs[gpu] for gpu in GPUS)
-        cells = (f"{cost['registers']}{_memory(cost)}, {cost['occupancy']:.0%}" for cost in registers)
-        instructions = str(registers[0]["instructions"])
-        simd = f"{intel['simd']}{_memory(intel)}, {intel['instructions']}"
-        rows.append((f"`{name}`", str(costs["arguments"]), instructions, *cells, simd))
-    heads = ("kernel", "arguments, B", "instructions, sm_86", *GPUS[:3], "DG2: SIMD, instructions")
-    return table(heads, rows)
-
-
-def _memory(cost: dict) -> str:
-    nbytes = cost["spilled"] + cost["private"]
-    return f" + {nbytes} B" if nbytes else ""
-
-
-TABLES = {"gpu_builds": builds_table, "gpu_costs": costs_table}
+TABLES = {"gpu_builds": builds_table}
 
 
 def with_tables(text: str) -> str:
@@ -172,13 +143,13 @@ def with_tables(text: str) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--setup", type=Path, metavar="FOLDER")
-    parser.add_argument("--rocm", action="store_true")
+    parser.add_argument("--newer", action="store_true")
     parser.add_argument("--tables", action="store_true")
     asked = parser.parse_args()
     if asked.setup:
-        set_up(asked.setup, asked.rocm)
+        set_up(asked.setup, asked.newer)
         return
-    failed = [] if asked.tables else record(asked.rocm)
+    failed = [] if asked.tables else record()
     PAGE.write_text(with_tables(PAGE.read_text("utf-8")), "utf-8")
     print(*(f"does not build: {line}" for line in failed), sep="\n", end="\n" if failed else "")
     sys.exit(bool(failed))

@@ -1,32 +1,17 @@
 """Writes the tables of docs/performance.md and the times in the README, from docs/measured/.
 
-    python docs/tools/make_performance.py                              the tables, from what is recorded
-    python docs/tools/make_performance.py --measure [--sequence DIR]   counts first commands and memory, on plaza,
-                                                                       forest and a sequence: the same anywhere
+    python docs/tools/make_performance.py
 
-The other record: `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`.
+What kernels load and store is recorded by `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`.
 """
 
 from __future__ import annotations
 
-import argparse
-import json
-from collections.abc import Callable, Iterator
-from pathlib import Path
+from collections.abc import Callable
 
-from pages import DOCS, MEASURED, REPOSITORY, recorded, table, with_all
+from pages import DOCS, REPOSITORY, recorded, table, with_all
 
 PAGE, README = DOCS / "performance.md", REPOSITORY / "README.md"
-SIZE, SCENES = (1920, 1080), ("plaza", "forest")
-
-
-def memory_table() -> str:
-    found = recorded("memory")
-    rows = [
-        ("commands, GAE", *(str(one["commands"]["GAE"]) for one in found.values())),
-        ("device memory, GAE, MiB", *(f"{one['memory_gae'] / 2**20:.0f}" for one in found.values())),
-    ]
-    return table(("", *(f"`{name}`" for name in found)), rows)
 
 
 def traffic_table() -> str:
@@ -75,7 +60,6 @@ def times_text() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "memory": memory_table,
     "traffic_size": size_of_traffic,
     "traffic": traffic_table,
     "gpu": gpu_table,
@@ -92,42 +76,7 @@ def with_times(text: str) -> str:
     return with_all(text, {"times": times_text()})
 
 
-def measure(sequence: Path | None, device: str | None) -> None:
-    """Record the commands and the memory."""
-    from gffe_cl.engine.opencl.device import open_device
-
-    found = dict(counted(open_device(device, profiling=True), [*SCENES, *([str(sequence)] if sequence else [])]))
-    (MEASURED / "memory.json").write_text(json.dumps(found, indent=1) + "\n")
-
-
-def counted(device, subjects: list[str]) -> Iterator[tuple[str, dict]]:
-    from gffe_cl.engine.options import Options
-    from gffe_cl.engine.timing.bench import Copier, bench_size
-    from gffe_cl.lab.bench.footage import loop_of
-
-    copier = Copier(device)
-    for subject in subjects:
-        loop = loop_of(device, subject, SIZE)
-        result = bench_size(device, copier, loop, Options(), repeats=1)
-        yield (
-            loop.name,
-            {
-                "size": SIZE,
-                "commands": result.commands,
-                "memory_gae": result.memory_gae,
-                "memory_by_stage": result.memory_by_stage,
-            },
-        )
-
-
 def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--measure", action="store_true")
-    parser.add_argument("--sequence", type=Path)
-    parser.add_argument("--device")
-    asked = parser.parse_args()
-    if asked.measure:
-        measure(asked.sequence, asked.device)
     PAGE.write_text(with_tables(PAGE.read_text()))
     README.write_text(with_times(README.read_text()))
 

@@ -278,29 +278,6 @@ class Intel(Compiler):
             )  # fmt: skip
 
 
-class Rocm(Compiler):
-    """AMD's own OpenCL runtime, for GPUs that are not there. Needs root, to change into its folder."""
-
-    vendor, gpus = "AMD's runtime", ("gfx1030", "gfx1100")
-
-    def __init__(self, folder: Path):
-        self.system = System(folder / "sid")
-        self.system.find("rocm_offline")
-        self.version = f"{self.system.version('rocm-opencl-icd')}, {self.system.version('libamd-comgr.*')}"
-        if os.geteuid():
-            raise NotFound("AMD's runtime needs root, to change into its folder")
-
-    def build(self, source: str, options: dict[str, int], gpu: str, folder: Path) -> dict[str, Cost]:
-        with tempfile.NamedTemporaryFile("w", suffix=".cl", dir=self.system.folder / "tmp") as file:
-            file.write(source)
-            file.flush()
-            inside = f"/tmp/{Path(file.name).name}"
-            asked = " ".join(("-cl-kernel-arg-info", "-w", *_defined(options)))
-            variables = ("AMD_OCL_ENABLE_CACHE=0", "OCL_ICD_VENDORS=/usr/lib/x86_64-linux-gnu/libamdocl64.so")
-            _printed(["chroot", self.system.folder, "/usr/bin/env", *variables, "/rocm_offline", gpu, asked, inside])
-        return {}
-
-
 COMPILERS: tuple[type[Compiler], ...] = (Amd, Nvidia, Intel)
 
 
