@@ -16,6 +16,8 @@ GONE: dict[str, str] = {
     "attach": "record(pipeline, folder) writes rendered frames that `gffe view FOLDER` follows.",
     "gffe view --attach": "gffe_cl.record(pipeline, folder) in the program, and `gffe view FOLDER` beside it.",
     "gffe view --last": "gffe_cl.record(pipeline, folder, most=…) in the program, and `gffe view FOLDER` beside it.",
+    "gffe view --measure": "the panel *Timings* shows what frames take, `gffe bench` what each stage costs.",
+    "gffe view --json": "`gffe bench --json FILE` has the times of each stage.",
 }
 
 

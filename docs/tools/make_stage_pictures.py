@@ -28,7 +28,7 @@ from gffe_cl.engine.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_H
 from gffe_cl.engine.stages.warp import BACKWARD
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import contact_sheet, error_image
-from gffe_cl.viewer.picture.colors import color_table
+from gffe_cl.viewer.picture.displays import color_table
 
 SIZE, FPS, ALPHA = (640, 360), 30.0, 1.0
 CELL = 384  # px, of a picture's columns

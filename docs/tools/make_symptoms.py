@@ -27,7 +27,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.lab.fault_injection import Kept, broken
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import contact_sheet, to_image
-from gffe_cl.viewer.picture.colors import LABEL_COLORS
+from gffe_cl.viewer.picture.displays import LABEL_COLORS
 
 SIZE, CELL, QUALITY = (640, 360), 320, 82
 COUNT = 6  # rendered frames, the last of which is extrapolated

@@ -19,15 +19,23 @@ from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.engine.stages.buffers import Sizes, grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
-from gffe_cl.viewer.picture import flip_map
 from gffe_cl.viewer.picture.canvas import Canvas, read
-from gffe_cl.viewer.picture.colors import LABEL_COLORS, MASK_OFF, SKY, color_table
-from gffe_cl.viewer.picture.displays import Display, FrameInfo, default_display, fitted
+from gffe_cl.viewer.picture.differences import FLIP_MAP
+from gffe_cl.viewer.picture.displays import (
+    LABEL_COLORS,
+    MASK_OFF,
+    SKY,
+    Display,
+    FrameInfo,
+    color_table,
+    default_display,
+    fitted,
+)
 from gffe_cl.viewer.picture.invalid import bad_values
 from gffe_cl.viewer.picture.shown_numbers import numbers_of
 from gffe_cl.viewer.picture.textures import texels_of
 from gffe_cl.viewer.picture.view import CLIPPING, INVALID_RENDERED, INVALID_SHOWN, View
-from gffe_cl.viewer.window.picture_frames import uncovered
+from gffe_cl.viewer.window.running import uncovered
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))
@@ -555,7 +563,7 @@ def test_numbers_are_those_of_the_half_or_of_the_map(canvas):
     held = replace(view, a="b", compare="off")
     assert numbers(canvas, held, images)[2, 3, 0] == images["b"][2, 3]
     flip = RNG.uniform(0, 1, (6, 8)).astype(np.float32)
-    (found,) = numbers_of(replace(view, a=flip_map.NAME, compare="off"), contents_of(canvas, images), flip)
+    (found,) = numbers_of(replace(view, a=FLIP_MAP, compare="off"), contents_of(canvas, images), flip)
     assert float(found.of(*at)[0, 0]) == flip[2, 3]
     canvas.upload("b", images["b"], replace(MASK, name="b"))
     assert numbers_of(replace(view, compare="difference"), contents_of(canvas, images), None) == []

@@ -1,6 +1,5 @@
 """`gffe view`: pictures and figures without a person, and what is told when something is wrong."""
 
-import json
 import os
 import re
 import subprocess
@@ -18,7 +17,8 @@ from xvfb import SCREEN, require_screen
 
 from gffe_cl.cli import main
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.automation.steps import check, parse, perform, unopened
+from gffe_cl.viewer.automation.script import Director, parse, unopened
+from gffe_cl.viewer.state.actions import Actions
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]
@@ -64,18 +64,15 @@ def refused(gffe, *arguments, display=None, **environment):
     ("arguments", "told"),
     [
         (["--screenshot", "a.png"], "needs a sequence or a scene"),
-        (["in", "--measure", "0"], "must be seconds"),
         (["in", "--cache", "-1"], "--cache must be"),
         (["--script", "steps.txt"], "--script needs a sequence or a scene"),
         (["in", "--script", "none.txt"], "none.txt: cannot be read"),
-        (["in", "--script", "a.txt", "--measure", "1"], "--measure and --script exclude each other"),
+        (["in", "--script", "a.txt", "--screenshot", "a.png"], "--screenshot and --script exclude each other"),
         (["in", "--film", "a.webp"], "--film needs a --script"),
         (["in", "--script", "a.txt", "--film", "a.mp4"], "must end in .webp or .gif"),
         (["in", "-n", "9"], "-n must be 1 to 7"),
-        (["in", "--compare", "nonsense"], "--compare must be off, split"),
         (["in", "--window", "fixed:1.2"], "only built-in scenes"),
         (["in", "--window-size", "10x900"], "--window-size must be at least 200"),
-        (["in", "--screenshot", "a.png", "--pixel", "12"], "--pixel must look like"),
         (["in", "--scn-model", "none.onnx"], "none.onnx: no such file"),
         (["in", "--scn-model", "in/sequence.json"], "in/sequence.json: cannot be loaded"),
         (["in", "--scn"], "no trained weights"),
@@ -158,31 +155,6 @@ def test_screenshot(gffe, screen, tmp_path):
     assert not (tmp_path / "config").exists()  # pictures for reports neither use nor change what is remembered
 
 
-@pytest.mark.long
-def test_measuring(gffe, screen, tmp_path):
-    code, out, err = gffe("in", "--measure", "0.5", "--json", "figures.json", "--window-size", "640x480")
-    figures = json.loads((tmp_path / "figures.json").read_text())
-    assert (code, err) == (0, "") and figures["device"]
-    titles = ["first_picture", "first_pass", "cached", "idle"]
-    assert out.splitlines()[0] == "first picture:"
-    assert len(out.splitlines()) == len(titles) + sum(len(figures[title]) for title in titles)
-    assert 0.1 < figures["first_picture"]["seconds"] <= figures["first_picture"]["computed_seconds"] < 200
-    assert figures["first_pass"]["frames_per_second"] > 0 and figures["first_pass"]["kernels_ms_per_frame"] > 0
-    cached = figures["cached"]
-    assert cached["frames_per_second"] > 0 and cached["dropped"] >= 0 and cached["due_per_second"] == 60
-    assert cached["interface_frames_per_second"] < cached["frames_per_second"]  # between two, the picture alone
-    assert figures["idle"]["percent_of_a_core"] < 4 and figures["idle"]["interface_frames_per_second"] < 2
-    code, out, err = gffe(
-        "in", "--measure", "0.3", "--json", "figures.json", "--cache", "0", "--layer", "frame.depth", "--with", "truth",
-        "--compare", "difference",
-    )  # fmt: skip
-    assert (
-        (code, err) == (0, "")
-        and "no cache" in out
-        and json.loads((tmp_path / "figures.json").read_text())["cached"] == {}
-    )
-
-
 STEPS = """# comment
 
 seek 3
@@ -195,15 +167,14 @@ with truth
 compare split
 split 0.7
 pixel 3,4
-rectangle 2,2,8,6
-do survey
+survey
 wait done
-panel Regions
-palette depth
+panel Plot
+type depth
 wait 0.1
-palette none
-do brighter
-do play
+type none
+brighter
+play
 wait 0.5
 """
 
@@ -217,40 +188,18 @@ def test_a_script_is_done_and_filmed(gffe, screen, tmp_path):
     with Image.open(tmp_path / "off.png") as shot, Image.open(tmp_path / "film.webp") as film:
         assert shot.size == film.size == (640, 480) and film.n_frames >= 3
     (tmp_path / "wrong.txt").write_text("seek 1\nlayer nonsense\nshot never.png\n")
-    assert "wrong.txt, line 2: no layer is called 'nonsense'" in refused(gffe, "in", "--script", "wrong.txt", *size)
+    assert "wrong.txt, line 2: no layer is called 'nonsense' (nearest: " in refused(
+        gffe, "in", "--script", "wrong.txt", *size
+    )
     assert not (tmp_path / "never.png").exists()
 
 
 WRONG_SCRIPTS = {
     "": "nothing to do",
     "# only this": "nothing to do",
-    "wait 1\nfly away": "line 2: unknown command 'fly' (expected seek, layer",
-    "seek": "line 1: expected seek FRAME",
-    "seek x": "seek must be a frame's number on the timeline",
-    "seek 1.5": "got '1.5'",
-    "seek -1": "got '-1'",
-    "seek 1+2/2": "got '1+2/2'",
-    "wait nan": "line 1: expected a number, got 'nan'",
-    "wait -5": "wait must be 0 to 3600 seconds, or done, got -5",
-    "wait 1e9": "wait must be 0 to 3600 seconds",
-    "compare nonsense": "compare must be off, split",
-    "set nonsense 1": "unknown option 'nonsense'",
-    "set levels 99": "background levels must be",
-    "set levels inf": "background levels must be",
-    "set crack_closing 1": "crack closing must be on or off",
-    "set hole_filling nonsense": "hole filling must be ",
-    "do pley": "no action is called 'pley' (nearest: play",
-    "pixel a,b": "expected a number",
-    "pixel 1.5,2": "pixel must be 2 whole numbers, 0 or more, as 12,34, got '1.5,2'",
-    "rectangle 5,1,5,5": "with LEFT < RIGHT",
-    "plane 0": "plane must be a whole number from 1, got '0'",
-    "from nowhere": "nowhere: no such file or folder",
-    "split 2": "split must be 0 to 1",
-    "split nan": "expected a number",
-    "steer 1,2": "expected steer RIGHT,UP,FORWARD,YAW,PITCH",
-    "steer 0,0,0,inf,0": "expected a number",
-    "panel Nonsense": "no panel is called 'Nonsense' (expected Picture, Layers",
-    "shot there/a.png": "expected a .png in an existing folder",
+    "wait 1\npley": "steps.txt, line 2: no action is called 'pley' (nearest: play",
+    "seek": "steps.txt, line 1: expected seek FRAME",
+    "play 3": "no action is called 'play 3'",
 }
 
 
@@ -263,7 +212,7 @@ def unopened_app():
 def test_scripts_are_checked_before_anything_starts(tmp_path, unopened_app, text):
     (tmp_path / "steps.txt").write_text(text)
     with pytest.raises(GffeError, match=re.escape(WRONG_SCRIPTS[text])):
-        parse(tmp_path / "steps.txt", unopened_app)
+        parse(tmp_path / "steps.txt", unopened_app.actions)
 
 
 @pytest.mark.parametrize("kind", foreign_files.KINDS)
@@ -272,42 +221,57 @@ def test_scripts_are_regular_files(tmp_path, unopened_app, kind):
 
     def said():
         with pytest.raises(GffeError, match=r"steps.txt: cannot be read .*expected") as refused:
-            parse(tmp_path / "steps.txt", unopened_app)
+            parse(tmp_path / "steps.txt", unopened_app.actions)
         return str(refused.value)
 
     assert "\n" not in foreign_files.within(10, said)
 
 
-def test_steps_are_checked_against_the_sequence(tmp_path, unopened_app):
-    """All of them before the first; what depends on the options up to where they change."""
-    session, path = Session(tiny_sequence.write(tmp_path / "in")), tmp_path / "steps.txt"
-    app = SimpleNamespace(model=session.model, actions=unopened_app.actions)
+WRONG_STEPS = {
+    "seek x": "expected a frame's number on the timeline",
+    "seek 99": "expected 0 to 5",
+    "pixel 99,99": "expected a pixel inside 13×9, got 99,99",
+    "pixel a,b": "expected 2 numbers, with commas, got 'a,b'",
+    "layer finall": "no layer is called 'finall' (nearest: final",
+    "with final": "'final' is compared with itself",
+    "compare nonsense": "expected off, split",
+    "set nonsense 1": "unknown option 'nonsense'",
+    "set levels 99": "background levels must be",
+    "set levels inf": "background levels must be",
+    "set crack_closing 1": "crack closing must be on or off",
+    "set hole_filling nonsense": "hole filling must be ",
+    "plane 2": "expected 1 to 1, which 'final' has, got 2",
+    "from nowhere": "nowhere",
+    "split nan": "expected 1 number, got 'nan'",
+    "steer 0,0,1,20,0": "the camera does not fly",
+    "panel Nonsense": "no panel is called 'Nonsense' (expected Picture, Layers",
+    "wait -5": "expected 0 to 3600 seconds, or done, got -5",
+    "shot there/a.png": "there/a.png: cannot write: no such folder",
+    "home_camera": "only in a built-in scene",
+    "layer upscaling.lock": "no layer is called",
+}
 
-    def checked(text: str) -> list:
+
+def test_a_step_that_cannot_be_done_is_named(tmp_path, unopened_app):
+    session, path = Session(tiny_sequence.write(tmp_path / "in")), tmp_path / "steps.txt"
+    app = SimpleNamespace(model=session.model, docks=unopened_app.docks, steering=None)
+    app.actions = Actions(app)
+    for action in unopened_app.actions:
+        app.actions.register(action)
+
+    def problem(text: str) -> str | None:
         path.write_text(text)
-        steps = parse(path, unopened_app)
-        check(app, path, steps)
-        return steps
+        app.director = Director(parse(path, app.actions), film=False)
+        for step in app.director._steps:
+            app.director._do(app, step)
+        return app.director.problem
 
     try:
-        for text, told in {
-            "seek 1\nseek 99": "line 2: seek must be 0 to 5",
-            "pixel 99,99": "pixel must be inside 13×9",
-            "set n 3\nrectangle 1,1,99,5": "line 2: rectangle must be inside 13×9",
-            "layer finall": "no layer is called 'finall' (nearest: final,",
-            "with rendered depth": "(nearest: rendered.depth,",
-            "do layer nonsense": "no action is called 'layer nonsense'",
-        }.items():
-            with pytest.raises(GffeError, match=re.escape(told)):
-                checked(text)
-        checked("set n 3\nseek 11\nlayer upscaling.lock")
-        (flight,) = checked("steer 0,0,1,20,0")
-        with pytest.raises(GffeError, match="the camera does not fly"):
-            perform(app, flight.command, flight.value)
-        plane, other = checked(f"plane 2\nfrom {tmp_path / 'in'}")
-        with pytest.raises(GffeError, match="plane must be 1 to 1, which 'final' has, got 2"):
-            perform(app, plane.command, plane.value)
-        perform(app, other.command, other.value)
+        for text, told in WRONG_STEPS.items():
+            assert f"{path}, line 1: " in (said := problem(text) or "") and told in said, (text, said)
+        assert problem("set n 3\nseek 11\nset levels off\nset motion on\nlayer frame.motion\nsplit 0.7") is None
+        assert session.model.playback.slot == 11 and session.model.parameters.value("levels") == 0
+        assert problem(f"from {tmp_path / 'in'}") is None
         assert session.model.kept.b.place == str(tmp_path / "in") and session.model.comparison.by_settings
     finally:
         session.model.close()
@@ -316,7 +280,9 @@ def test_steps_are_checked_against_the_sequence(tmp_path, unopened_app):
 def test_actions_are_listed(gffe):
     """All that a script can do, without a display."""
     code, out, err = gffe("--actions")
-    assert (code, err) == (0, "") and {"play", "quit", "panel Plot"} <= {line[:32].strip() for line in out.splitlines()}
+    assert (code, err) == (0, "") and {"play", "quit", "seek", "toggle Plot"} <= {
+        line[:32].strip() for line in out.splitlines()
+    }
 
 
 @pytest.mark.slow

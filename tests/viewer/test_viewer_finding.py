@@ -1,4 +1,4 @@
-"""Finding what is wrong: figures of slots, regions of errors, the survey, the way of a fragment, rectangles."""
+"""Finding what is wrong: figures of slots, regions of errors, the survey, the way of a fragment, the worst pixel."""
 
 import time
 from collections import Counter
@@ -9,42 +9,35 @@ import numpy as np
 import pytest
 from viewer_session import wait_for
 
-from gffe_cl import GffeError, Options
+from gffe_cl import Options
 from gffe_cl.captures.scenes import load_scene
 from gffe_cl.captures.scenes.render import render_sequence
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
-from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.metrics import Metric, psnr, squared_error, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as TABLE
 from gffe_cl.lab.table.footage import find_labels
 from gffe_cl.viewer.engine.figures import (
-    NEEDED,
+    NEEDED_BY_REGION,
     REGIONS,
     Figures,
     Measurements,
     Measurer,
-    Part,
-    parts_of,
+    psnr_by_region,
     region_labels,
 )
 from gffe_cl.viewer.engine.invalid import seen_at, seen_through
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.store import Store, Want
-from gffe_cl.viewer.picture.colors import LABEL_COLORS, color_table
-from gffe_cl.viewer.picture.disocclusions import Disocclusions
-from gffe_cl.viewer.picture.displays import Display
-from gffe_cl.viewer.picture.files import save_json
+from gffe_cl.viewer.picture.current_frame import Contents
+from gffe_cl.viewer.picture.displays import Display, FrameInfo
 from gffe_cl.viewer.picture.invalid import InvalidPixels
-from gffe_cl.viewer.picture.legend_strip import Entry, with_legends
-from gffe_cl.viewer.picture.legends import Legend, legend
-from gffe_cl.viewer.picture.selection import statistics
+from gffe_cl.viewer.picture.shown_numbers import largest
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.picture.worst_pixels import worst_pixels
-from gffe_cl.viewer.state.baseline import Baseline
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Side, Survey
 
@@ -65,8 +58,6 @@ def made(slot=1, n=1, error=0.1, seed=0, alpha=0.5, key=None):
     dynamic[:, :5], holes[:, -6:] = 1, 1
     images = {
         names.FINAL: final, names.TRUTH: truth, names.DEPTH: depth, names.DYNAMIC: dynamic, names.DISOCCLUDED: holes,
-        names.FILLED_BY: np.where(holes, 255, 0).astype(np.uint8),
-        names.MOTION: np.broadcast_to(np.float32((3, 4)), (HEIGHT, WIDTH, 2)).copy(),
     }  # fmt: skip
     # the rendered frame saw three columns less at the right
     rendered = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2 - 3 + 6, HEIGHT / 2)
@@ -81,7 +72,7 @@ def shown(result):
     return [to_display(result.images[name][..., :3], 1.0) for name in (names.FINAL, names.TRUTH)]
 
 
-def test_regions_and_their_shares():
+def test_regions_and_psnr_in_them():
     result = made()
     labels = region_labels(result, 1.0)
     number = {name: index for index, name in enumerate(REGIONS)}
@@ -90,42 +81,10 @@ def test_regions_and_their_shares():
     assert (labels[:, WIDTH // 2 - 1 : WIDTH // 2 + 1] == number["silhouettes"]).all()
     assert (labels[:, :5] == number["dynamic"]).all()
     assert set(np.unique(labels[:, 5 : WIDTH // 2 - 1])) <= {number["focus"], number["rest"]}
-    parts = parts_of(labels, squared_error(*shown(result)))
+    psnrs = psnr_by_region(labels, squared_error(*shown(result)))
     mask, (a, b) = labels == number["disoccluded"], shown(result)
-    assert parts["disoccluded"].psnr == pytest.approx(psnr(a, b, mask), abs=1e-4)
-    assert parts["disoccluded"].pixels == mask.mean()
-    assert sum(part.error for part in parts.values()) == pytest.approx(1)
-    assert np.isnan(parts_of(np.zeros_like(labels), np.zeros(labels.shape))["rest"].psnr)
-
-
-def test_disocclusions_over_the_picture():
-    """Three columns out of screen and three that are hidden; nothing of a rendered frame; means by settings."""
-    uploads = {}
-    canvas = SimpleNamespace(
-        upload=lambda name, image, spec: uploads.update({name: image}),
-        forget=lambda gone: [uploads.pop(name, None) for name in gone],
-    )
-    contents = SimpleNamespace(result=made(), changes=1)
-    found = Disocclusions(View("final", Display()), contents)
-    found.update(canvas)
-    assert not uploads and found.needed == frozenset()
-    found.switch(True)
-    found.update(canvas)
-    labels = uploads["disocclusions"]
-    assert labels.shape == (HEIGHT, WIDTH) and found.needed <= contents.result.images.keys()
-    assert [list(np.unique(part)) for part in (labels[:, :-6], labels[:, -6:-3], labels[:, -3:])] == [[255], [1], [0]]
-    assert found.share == (6 / WIDTH, 3 / WIDTH) and found.text() == "disoccluded 18.8% (9.4% out of screen)"
-    contents.result, contents.changes = made(3), 2
-    contents.result.images[names.DISOCCLUDED][:] = 0
-    found.update(canvas)
-    assert found.share == (0, 0) and found.mean == (3 / WIDTH, 1.5 / WIDTH)
-    contents.result, contents.changes = made(4), 3
-    contents.result.moment.alpha = 0.0
-    found.update(canvas)
-    assert found.share is None and not uploads and found.mean == (3 / WIDTH, 1.5 / WIDTH)
-    contents.result, contents.changes = made(5, n=2), 4
-    found.update(canvas)
-    assert found.mean == (6 / WIDTH, 3 / WIDTH)
+    assert psnrs["disoccluded"] == pytest.approx(psnr(a, b, mask), abs=1e-4)
+    assert np.isnan(psnr_by_region(np.zeros_like(labels), np.zeros(labels.shape))["rest"])
 
 
 def test_regions_are_those_of_the_table(tmp_path):
@@ -148,7 +107,7 @@ def test_regions_are_those_of_the_table(tmp_path):
     try:
         wait_for(lambda: engine.source, 60)
         for slot, labels in zip(slots, expected, strict=True):
-            want = Want(Key(engine.recipe(Setup(Options(shading_correction=False))), slot), NEEDED)
+            want = Want(Key(engine.recipe(Setup(Options(shading_correction=False))), slot), NEEDED_BY_REGION)
             engine.store.want([want])
             found = region_labels(wait_for(lambda want=want: engine.store.get(want), 60), engine.source.exposure)
             np.testing.assert_array_equal(found, labels)
@@ -280,51 +239,46 @@ def test_means_of_both_are_over_the_slots_that_both_have():
     for name, side in (("A", survey.a), ("B", survey.b)):
         values = [survey.figures(side)[slot].values["psnr"] for slot in common]
         assert means[name] == pytest.approx(np.mean(values))
-    parts, count = survey.parts()
-    assert count == len(common)
-    shares = [survey.figures(survey.a)[slot].parts["dynamic"].pixels for slot in common]
-    assert parts["A"]["dynamic"].pixels == pytest.approx(np.mean(shares))
     known.clear()
     assert survey.means("psnr")[1] == 7 and set(survey.means("psnr")[0]) == {"A"}, "nothing of B is known yet"
 
 
-def test_worst_pixels_are_apart_and_in_order():
+class Images(Contents):
+    """Contents with these images of `FRAME_LAYERS`, 60×40 display pixels."""
+
+    def __init__(self, images):
+        super().__init__()
+        self._images = images
+        self.layers = [*FRAME_LAYERS.values(), replace(FRAME_LAYERS["rendered.depth"], name="other")]
+
+    def image(self, name):
+        return self._images.get(name)
+
+    def frame_info(self, result=None):
+        return FrameInfo((60, 40))
+
+
+def test_the_worst_pixel_is_the_one_with_the_largest_error_that_is_shown():
     rng = np.random.default_rng(5)
     true = rng.uniform(0.2, 0.6, (40, 60, 4)).astype(np.float16)
-    shown = true.copy()
-    for (x, y), error in (((50, 30), 0.4), ((52, 31), 0.3), ((5, 6), 0.2), ((30, 10), 0.1)):
-        shown[y, x, :3] += np.float16(error)
-    found = worst_pixels(FRAME_LAYERS["final"], shown, true, (60, 40), 1.0)
-    assert [worst.pixel for worst in found] == [(50, 30), (5, 6), (30, 10)], "(52, 31) belongs to the first"
-    assert [worst.rank for worst in found] == [1, 2, 3]
-    expected = np.abs(to_display(shown[..., :3], 1.0) - to_display(true[..., :3], 1.0)).mean(-1)[30, 50]
-    assert found[0].error == pytest.approx(expected)
-    assert found[1].text.endswith(" at (5, 6): number 2 of the frame")
-    spec = LayerSpec("l", "L", "stage", "label", labels=((0, "static"), (5, "mover")))
-    label, other = np.zeros((2, 40, 60), np.uint8)
-    other[3, 4], label[20, 30] = 5, 1
-    texts = [worst.text for worst in worst_pixels(spec, label, other, (60, 40), 1.0)]
-    assert texts[0] == "A 0: static, B 5: mover at (4, 3): number 1 of the frame" and "A 1, B 0: static" in texts[1]
-    spec, (first, second) = LayerSpec("p", "P", "stage", "scalar", planes=2), np.zeros((2, 2, 8, 8), np.float32)
-    second[1, 6, 7] = 2.0
-    assert [len(worst_pixels(spec, first, second, (8, 8), 1.0, plane)) for plane in (0, 1)] == [0, 1]
+    color = true.copy()
+    color[30, 50, :3] += np.float16(0.4)
     depth = np.full((20, 30), 3.0, np.float32)
     other = depth.copy()
     depth[0, 0] = other[0, 0] = np.inf
-    other[7, 9], other[15, 20] = 3.5, np.nan
-    found = worst_pixels(FRAME_LAYERS["rendered.depth"], depth, other, (60, 40), 1.0)
-    assert [worst.pixel for worst in found] == [(41, 31), (19, 15)], "display pixels; NaN is the worst, sky is equal"
-
-
-def test_the_survey_sums_up_its_regions():
-    _, survey = surveyed()
-    figures = [figures for figures in survey.figures(survey.a).values() if figures.parts]
-    parts = survey.parts()[0]["A"]
-    for name in REGIONS:
-        assert parts[name].pixels == pytest.approx(np.mean([of.parts[name].pixels for of in figures]))
-    assert sum(part.error for part in parts.values()) == pytest.approx(1)
-    mean = np.mean([10 ** (-of.values["psnr"] / 10) for of in figures])
-    assert sum(part.squared for part in parts.values()) == pytest.approx(mean, rel=1e-4)
+    other[7, 9] = 3.5
+    images = Images({"final": color, "truth": true, "rendered.depth": depth, "other": other})
+    for a, b in (("final", "truth"), ("rendered.depth", "other")):
+        view = View(a, Display(), b, Display())
+        assert largest(view, images, None) is None, "nothing is compared"
+        for view.compare in ("difference", "error"):
+            pixel, error = largest(view, images, None)
+            expected = np.abs(to_display(color[..., :3], 1.0) - to_display(true[..., :3], 1.0))[30, 50]
+            assert pixel == ((50, 30) if a == "final" else (19, 15)), "of the display; sky is equal"
+            wanted = 0.5 if a != "final" else expected.mean() if view.compare == "error" else expected.max()
+            assert error == pytest.approx(wanted, rel=1e-3)
+        view.b = view.a
+        assert largest(view, images, None) is None, "equal"
 
 
 def test_equal_settings_are_counted_once():
@@ -355,7 +309,6 @@ def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
     metrics["broken"] = Metric("broken", "Broken", lambda shown, true: 1 / 0)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.METRICS", metrics)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.measurable", lambda: list(metrics.values()))
-    monkeypatch.setattr("gffe_cl.viewer.engine.figures.Part.of", lambda *shares: Part(*shares, 0.0))
     measured, frame = Measurements(), made(slot=3)
 
     def known():
@@ -367,7 +320,7 @@ def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
     for _ in range(2):
         measured.measure(frame, 1.0)
     wait_for(lambda: measured.faults, 60)
-    assert counted == {"psnr": 1, "flip": 1, "slow": 1} and known().parts
+    assert counted == {"psnr": 1, "flip": 1, "slow": 1}
     assert measured.faults == ["ZeroDivisionError: division by zero"]
     measured.measure(made(slot=2, alpha=0.0), 1.0)
     measured.measure(made(slot=4), 1.0)
@@ -398,73 +351,3 @@ def test_the_way_of_a_fragment():
     edge.depth[6, 10] = 4.1
     way = way_of(None, [passed(5, (1, 0)), edge, passed(3, (0, 0))], (8, 6))
     assert way[1].px == (20, 12), "the right surface is beside the place that its motion tells"
-
-
-def test_statistics_of_a_rectangle():
-    result = made()
-    found = statistics(result, (20, 4, 30, 12), 1.0)
-    a, b = (image[4:12, 20:30] for image in shown(result))
-    assert found.count == 80 and found.psnr == pytest.approx(psnr(a, b), abs=1e-4)
-    assert found.filled == {"its own fragment": 0.6, "hole filling": 0.4}
-    error = np.abs(a - b).mean(-1)
-    assert error[found.worst[1] - 4, found.worst[0] - 20] == error.max() == pytest.approx(found.largest_error)
-    assert found.motion == (3, 4) and found.lengths[-1] == 80 and found.edges[-1] == 5
-    rendered = made()
-    rendered.moment.alpha = 0.0
-    found = statistics(rendered, (0, 0, 2, 2), 1.0)
-    assert (found.psnr, found.filled, found.motion) == (None, {}, None)
-
-
-def test_nothing_is_known_of_no_figures():
-    assert Part.of(0.0, 0.0, 0.0).error == 0 and np.isnan(Part.of(0.0, 0.0, 0.0).psnr)
-    assert Figures({}).parts == {}
-
-
-def test_legends_under_saved_pictures():
-    """The picture stays as it is; below it are the colors that its legends tell."""
-    spec = LayerSpec("rendered.depth", "Rendered depth", "frame", "depth")
-    labels = LayerSpec("a.b", "B", "a", "label", labels=((0, "none"), (1, "some")))
-    motion = LayerSpec("m", "Motion", "frame", "motion", ("x", "y"))
-    rng = np.random.default_rng(1)
-    for width in (40, 300, 1000):
-        picture = rng.integers(0, 256, (30, width, 4), np.uint8)
-        assert with_legends(picture, []) is picture
-        ramp = with_legends(picture, [Entry("depth", legend(spec, Display(color_map="turbo")), "turbo")])
-        np.testing.assert_array_equal(ramp[:30, :width], picture)
-        strip = ramp[30:, :, :3].astype(int)
-        table = np.round(255 * color_table("turbo")).astype(int)
-        rows = [row for row in strip if all((np.abs(row - color).sum(-1) == 0).any() for color in table[[0, 128, 255]])]
-        assert rows, "the whole ramp is there"
-        more = [Entry("labels", legend(labels, Display())), Entry("motion", legend(motion, Display()))]
-        found = with_legends(picture, more)
-        colors = {tuple(color) for color in found[30:, :, :3].reshape(-1, 3).tolist()}
-        assert {tuple(round(255 * c) for c in color) for color in LABEL_COLORS[:2]} <= colors
-        assert {(255, 0, 0), (128, 255, 0)} & colors, "directions of motion"
-        assert len(found) > len(with_legends(picture, more[:1])) > 30
-        lines = [with_legends(picture, [Entry("wide words " * count, Legend("none"))]) for count in (1, 30)]
-        assert lines[1].shape[1] == lines[0].shape[1] and len(lines[1]) > len(lines[0]), "long lines are broken"
-
-
-def test_a_stored_baseline_is_b(tmp_path):
-    """Its figures, also by region, stand beside A's by the time of the frame; nothing is measured for it."""
-    surveying, survey = surveyed()
-    expected, parts = survey.means("psnr")[0], survey.parts()[0]
-    survey.update(surveying.a, None, 1.0, True)
-    save_json(path := tmp_path / "baseline.json", survey.document())
-    survey.baseline = Baseline.load(path)
-    assert survey.update(surveying.b, None, 1.0, True) == [] and survey.progress == (8, 8)
-    stored, known = survey.figures(survey.b), survey.figures(surveying.a)
-    assert {slot: of.values for slot, of in stored.items()} == {s: of.values for s, of in known.items() if of.values}
-    assert survey.means("psnr") == ({"A": expected["B"], "B": expected["A"]}, 7)
-    assert survey.parts()[0]["B"]["rest"].psnr == pytest.approx(parts["A"]["rest"].psnr)
-    assert survey.most_different() is not None
-    survey.forget()
-    survey.update(surveying.b, None, 1.0, True)
-    assert survey.b is None
-    path.write_text('{"mean": {}, "frames": [{"time": 0.0501, "psnr": 30.5, "ssim": null, "counted": true}]}')
-    (found,) = Baseline.load(path).by_slot(Playback(count=8)).items()
-    assert found == (3, Figures({"psnr": 30.5})), "what gffe compare --json writes"
-    for damaged in ("", "[]", '{"frames": [{"time": "0"}]}', '{"frames": [{"time": 0, "psnr": "x"}]}'):
-        path.write_text(damaged)
-        with pytest.raises(GffeError, match=r"no stored figures \(expected those of the viewer or of gffe compare\)"):
-            Baseline.load(path)

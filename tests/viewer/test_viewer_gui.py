@@ -20,7 +20,7 @@ pytestmark = pytest.mark.long
 @pytest.fixture(scope="module")
 def seen(tmp_path_factory):
     """What the cases saw, by their names; of "leave first" and "leave second" also "exit", seconds from closing to the
-    end of the process, and the hidden files that are "left over"."""
+    end of the process."""
     require_screen()
     from gffe_cl.engine.opencl.program import kernel_folder
 
@@ -40,10 +40,7 @@ def seen(tmp_path_factory):
         if phase != "make":
             report = json.loads((folder / f"{phase}.json").read_text())
             shutil.copy(folder / f"{phase}.json", artifacts)
-            found[f"leave {phase}"] = report["cases"].pop("leave") | {
-                "exit": ended - report["closed"],
-                "left over": [path.name for path in (folder / "working").glob(".*")],
-            }
+            found[f"leave {phase}"] = report["cases"].pop("leave") | {"exit": ended - report["closed"]}
             found |= report["cases"]
     found["pictures"] = {path.stem for path in artifacts.glob("*.png")}
     return found
@@ -66,11 +63,6 @@ def test_playback(values):
     assert values["slots after keys"] == {name: [slot, slot] for name, slot in expected.items()}
     assert values["slot after the step button"] == 1
     assert values["points"] == [[4, 9], [0, 15]]
-
-
-def test_cached_playback(values):
-    assert values["share marked as cached"] > 0.98
-    assert values["plays while nothing is computed"]
 
 
 def test_parameters(values):
@@ -104,14 +96,6 @@ def test_ways_of_comparing(values):
 def test_overview(values, seen):
     assert values["tiles"] == values["layers"]
     assert values["opened"] == ["frame.depth", False]
-
-
-def test_flip_error(values):
-    if values["reason"] is not None:
-        assert "flip-evaluator" in values["reason"]
-        return
-    assert values["drawn"] > 60
-    assert values["colors without truth"] == 1
 
 
 def test_story(values):
@@ -148,13 +132,6 @@ def test_doctor(values):
 def test_kernel_timings(values):
     assert len(values["kernels"]) > 1 and values["sum"][0] == pytest.approx(values["sum"][1], rel=0.2)
     assert values["drawn"] > 0.002
-
-
-def test_keys_while_computing(values):
-    """Each key does what it is for at once; our own code never holds the interface for 50 ms."""
-    assert values["answered"] == [[slot, 0.5] for slot in range(1, 7)]
-    assert values["while computing"] > 10 and values["saved"] == 1
-    assert len(values["own"]) > 20 and max(values["own"]) < 0.05, sorted(values["own"])[-5:]
 
 
 def test_kernels(values):
@@ -220,37 +197,23 @@ def test_appearance(values):
 
 
 def test_resizing(values):
-    assert [case["window"] for case in values["sizes"]] == [[900, 600], [1500, 950], [1280, 720]]
+    assert [case["window"] for case in values["sizes"]] == [[900, 600], [1280, 720]]
     for case in values["sizes"]:
         assert case["canvas"] == case["area"] and case["right"] and case["fits"]
         assert case["same"] > 0.9  # captions lie over the rest
 
 
 def test_saving(values):
-    assert values["png"]["size"][0] > 108 and values["png"]["size"][1] == 200, "the picture, and a strip below it"
+    assert values["png"]["size"] == [108, 192, 3]
     assert values["png"]["fault"] < 1.5  # levels
     assert values["exr"]["files"] == values["exr"]["layers"] and values["exr"]["depth is right"]
-    assert values["progress"] and values["mp4"] == {"frames": 8, "name": ".mp4"}
-    assert values["back at"] == 13
-    assert all(name in values["told"] for name in (".png", "layers", ".mp4"))
-
-
-def test_cancelling(values):
-    assert values["of"] == 64 and values["left over"] == []
-    assert "cancelled" in values["told"]
+    assert all(name in values["told"] for name in (".png", "layers"))
 
 
 def test_closing_while_work_runs(seen):
     left = seen["leave first"]
     assert left["error"] is None, left["error"]
     assert left["exit"] < 3.0
-
-
-def test_closing_while_a_video_is_saved(seen):
-    left = seen["leave second"]
-    assert left["error"] is None, left["error"]
-    assert len(left["values"]["part"]) == 1 and left["left over"] == []
-    assert left["exit"] < 8.0
 
 
 def test_restart(values):
@@ -271,9 +234,6 @@ def test_settings_a_and_b(values):
     assert values["left is A"] and values["right is B"] and values["held shows B"]
     assert values["largest fault of the difference"] <= 8  # A and B are rounded to 8 bits here, times 4
     assert values["B follows A's layer"] == "B:frame.filled_by"
-    a, b = values["scores"]
-    assert b > a + 1
-    assert values["slots"] == [[14, 14], [15, 15], [15, 15]]
     assert "--no-motion" in values["command"].split() and values["command"].startswith("gffe run ")
     assert values["swapped"] is True
 
@@ -281,14 +241,9 @@ def test_settings_a_and_b(values):
 def test_finding_frames(values):
     assert values["empty"] == [False, True]
     assert values["slots"] == [list(range(1, 16, 2))] * 2
-    assert values["visited"] == values["worst"] and len(set(values["visited"])) == 3
-    assert values["most different"][0] == values["most different"][1]
+    assert values["worst"][0] == values["worst"][1]
+    assert values["worst pixel"][0] and "largest: " in values["worst pixel"][1]
     assert values["clicked"] == 9
-
-
-def test_regions_of_errors(values):
-    assert 0.05 < values["tinted"] < 0.8 and values["only"] == "dynamic" and values["dimmed"] > 0.1
-    assert values["all again"] is None and values["as before"]
 
 
 def test_walking_along_a_story(values):
@@ -304,12 +259,6 @@ def test_walking_along_a_story(values):
     slot, pixel = values["two before"]
     assert slot == 8 and np.abs(np.add(pixel, 0.5) - way[2, 1:]).max() <= 1.5
     assert values["back"] and values["back is disabled"] == "no link was followed"
-
-
-def test_rectangle(values):
-    assert values["rectangle"] == [140, 40, 190, 100] and not values["panned"]
-    assert values["worst"][0] == values["worst"][1] == values["worst"][2]
-    assert values["forgotten"] is None
 
 
 def test_color_bars(values):

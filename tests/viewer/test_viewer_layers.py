@@ -21,13 +21,24 @@ from gffe_cl.engine.stages.network import NetworkInput
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs
 from gffe_cl.engine.stages.warp import Connectivity
-from gffe_cl.viewer.picture.colors import COLOR_MAPS, LABEL_COLORS, SKY, color_table, wheel_color
 from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.display_settings import Looks
-from gffe_cl.viewer.picture.displays import TONE_MAPS, Display, FrameInfo, area_of, default_display, fitted, shown_as
-from gffe_cl.viewer.picture.histogram import BINS, Histogram, counted
-from gffe_cl.viewer.picture.legends import legend, value_text
+from gffe_cl.viewer.picture.displays import (
+    COLOR_MAPS,
+    LABEL_COLORS,
+    SKY,
+    TONE_MAPS,
+    Display,
+    FrameInfo,
+    area_of,
+    color_table,
+    default_display,
+    fitted,
+    shown_as,
+    wheel_color,
+)
+from gffe_cl.viewer.picture.looks import BINS, Histogram, Looks, counted
 from gffe_cl.viewer.picture.view import View
+from gffe_cl.viewer.state.captions import legend, value_text
 
 DEPTH, MOTION, FINAL = (FRAME_LAYERS[name] for name in ("rendered.depth", "rendered.motion", "final"))
 STAGES: tuple[type[Stage], ...] = (
@@ -58,18 +69,18 @@ def test_histograms_count_what_is_shown():
     color[0, 0] = np.nan
     frame = FrameInfo((50, 40))
     counts = counted(FINAL, color, Display(), frame, None, 2.0)
-    assert counts.channels == ("R", "G", "B") and counts.pixels.shape == (3, BINS)
-    assert (counts.pixels.sum(1) == 40 * 50 - 1).all() and 1.9 < counts.edges[-1] <= 2.0, "exposed, without NaN"
+    assert counts.channels == ("R", "G", "B") and counts.shares.shape == (3, BINS)
+    assert counts.shares.sum(1) == pytest.approx([100.0] * 3) and 1.9 < counts.edges[-1] <= 2.0, "exposed, without NaN"
     counts = counted(FINAL, color, Display(channel="G"), frame, None, 1.0)
     expected = np.histogram(color[..., 1][np.isfinite(color[..., 1])].astype(float), counts.edges)[0]
-    assert counts.channels == ("G",) and (counts.pixels[0, 1:-1] == expected[1:-1]).all()
+    assert counts.channels == ("G",) and np.allclose(counts.shares[0, 1:-1], expected[1:-1] * counts.least)
     depth = np.full((40, 50), 3.0, np.float32)
     depth[:, :10], depth[:, 10:20], depth[:, 20:25] = np.inf, 0, 7
     counts = counted(DEPTH, depth, Display(), frame, None, 1.0)
-    assert counts.pixels.sum() == 40 * 30 and counts.pixels[0, 0] == 40 * 25 and counts.pixels[0, -1] == 40 * 5
+    assert counts.shares[0, [0, -1]] == pytest.approx([100 * 25 / 30, 100 * 5 / 30])
     motion = np.tile(np.float32((3, 4)), (40, 50, 1))
     counts = counted(MOTION, motion, Display(), frame, None, 1.0)
-    assert counts.edges[0] == pytest.approx(5) and counts.pixels[0, 0] == 2000, "lengths"
+    assert counts.edges[0] == pytest.approx(5) and counts.shares[0, 0] == 100, "lengths"
     assert counted(BY_NAME["frame.filled_by"], np.zeros((4, 5), np.uint8), Display(), frame, None, 1.0) is None
 
 

@@ -4,11 +4,9 @@ import contextlib
 import json
 import os
 import resource
-from functools import partial
 from types import SimpleNamespace
 
 import foreign_files
-import imageio_ffmpeg
 import numpy as np
 import pytest
 from hypothesis import example, given, settings
@@ -19,20 +17,19 @@ from PIL import Image
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.layers import LayerSpec
-from gffe_cl.viewer.automation.steps import read_place
-from gffe_cl.viewer.engine.figures import REGIONS
+from gffe_cl.viewer.engine.figures import REGIONS, Timings
 from gffe_cl.viewer.picture.displays import Display
-from gffe_cl.viewer.picture.files import export_video, save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.actions import IMGUI_KEYS, Action, Actions, parse_shortcut
+from gffe_cl.viewer.state.navigation import Framing
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
+from gffe_cl.viewer.state.saving import save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state.settings import Settings, default_path
-from gffe_cl.viewer.state.timings import Timings
-from gffe_cl.viewer.state.viewport import Framing
-from gffe_cl.viewer.window import keys
-from gffe_cl.viewer.window.ablation import with_room
+from gffe_cl.viewer.window.commands import slot_of
 from gffe_cl.viewer.window.picture import short
 from gffe_cl.viewer.window.plot import scale_of
+from gffe_cl.viewer.window.running import dispatch
+from gffe_cl.viewer.window.studies import with_room
 
 cases = settings(deadline=None, max_examples=100)
 
@@ -411,11 +408,11 @@ def test_preferences_come_back_and_damaged_ones_do_not():
 
 def make(*rows):
     """Actions from (label, shortcut, reason or None), ids and what ran."""
-    actions, ran = Actions(), []
+    actions, ran = Actions(None), []
     for label, shortcut, reason in rows:
         id = label.lower().replace(" ", "_")
         actions.register(
-            Action(id, label, "Group", shortcut, lambda id=id: ran.append(id), lambda reason=reason: reason)
+            Action(id, label, "Group", shortcut, lambda app, id=id: ran.append(id), lambda app, reason=reason: reason)
         )
     return actions, ran
 
@@ -460,7 +457,7 @@ def test_dispatch_runs_what_is_enabled():
     assert actions.dispatch({"Shift"}, "/") == "help" and actions.last_refusal is None
     assert actions.dispatch({"Ctrl"}, "O", repeated=True) is None
     assert actions.dispatch({"Ctrl"}, "O", covered=True) is None
-    actions.register(Action("quit", "Quit", "File", "Ctrl+Q", lambda: None, anywhere=True))
+    actions.register(Action("quit", "Quit", "File", "Ctrl+Q", lambda app: None, anywhere=True))
     assert actions.dispatch({"Ctrl"}, "Q", covered=True) == "quit"
     assert actions.run("open") and not actions.run("save") and actions.last_refusal == "nothing is open"
     assert ran == ["open", "help", "open"]
@@ -469,12 +466,12 @@ def test_dispatch_runs_what_is_enabled():
 
 
 def test_held_keys():
-    actions, state, steps = Actions(), [], []
+    actions, state, steps = Actions("app"), [], []
     reason = []
-    actions.register(
-        Action("flip", "Flip", "Compare", "Shift+R", state.append, lambda: reason[0] if reason else None, hold=True)
-    )
-    actions.register(Action("step", "Step", "Playback", "Right", lambda: steps.append(1), repeat=True))
+    hold = {"run": lambda app: state.append(True), "release": lambda app: state.append(False)}
+    flip = Action("flip", "Flip", "Compare", "Shift+R", enabled=lambda app: reason[0] if reason else None, **hold)
+    actions.register(flip)
+    actions.register(Action("step", "Step", "Playback", "Right", lambda app: steps.append(1), repeat=True))
     assert actions.dispatch({"Shift"}, "R") == "flip" and actions.held("flip")
     assert actions.dispatch({"Shift"}, "R", repeated=True) is None and state == [True]
     reason.append("no reference")  # what is held is let go all the same
@@ -489,7 +486,7 @@ def test_held_keys():
     for _ in range(3):
         assert actions.dispatch(set(), "Right", repeated=True) == "step"
     assert len(steps) == 3
-    actions.register(Action("what", "What", "Help", "?", state.append, hold=True))
+    actions.register(Action("what", "What", "Help", "?", **hold))
     assert actions.dispatch({"Shift"}, "/") == "what" and actions.release("/") == "what"
     assert actions.dispatch(set(), "?") == "what" and actions.release("/") == "what"  # Shift went up first
     actions.run("what")
@@ -514,11 +511,11 @@ def test_duplicates_are_refused():
 
 
 def test_groups_and_the_table_of_shortcuts():
-    actions = Actions()
+    actions = Actions("app")
     for id, label, group, shortcut, more in (
         ("open", "Open …", "File", "Ctrl+Shift+O", {}),
         ("play", "Play", "Playback", "Space", {"also": ("K",)}),
-        ("flip", "Reference", "Playback", "R", {"hold": True}),
+        ("flip", "Reference", "Playback", "R", {"release": print}),
         ("quit", "Quit", "File", "", {}),
         ("about", "About", "Help", "", {}),
     ):
@@ -799,70 +796,6 @@ def test_cancelled_layers_leave_nothing(tmp_path, exists):
     assert len(asked) == 3 and list(tmp_path.rglob("*")) == [folder] * exists
 
 
-@pytest.mark.parametrize(("height", "width", "suffix"), [(33, 47, "mp4"), (32, 46, "mkv")])
-def test_video(tmp_path, height, width, suffix):
-    path = tmp_path / f"video.{suffix}"
-    levels = [40, 120, 200, 80, 160]
-    frames = (np.full((height, width, 3), level, np.uint8) for level in levels)
-    assert export_video(path, frames, 24) and os.listdir(tmp_path) == [path.name]
-    reader = imageio_ffmpeg.read_frames(str(path))
-    meta = next(reader)
-    assert meta["size"] == (width + width % 2, height + height % 2) and meta["fps"] == 24
-    read = [np.frombuffer(frame, np.uint8).mean() for frame in reader]
-    assert read == pytest.approx(levels, abs=3)  # 8-bit limited-range YUV; the padding does not darken
-
-
-@pytest.mark.parametrize("after", [0, 1, 3])
-def test_cancelled_video_leaves_nothing(tmp_path, after):
-    made = []
-
-    def frames():
-        for i in range(9):
-            made.append(i)
-            yield noise(32, 32, seed=i)
-
-    assert export_video(tmp_path / "v.mp4", frames(), 30, lambda: len(made) == after) is False
-    assert os.listdir(tmp_path) == [] and len(made) == after
-
-
-def test_video_cancelled_while_a_frame_is_awaited(tmp_path):
-    cancelled = []
-
-    def frames():
-        yield noise(32, 32)
-        cancelled.append(True)  # what makes the frames gives up too, and ends
-
-    assert export_video(tmp_path / "v.mp4", frames(), 30, lambda: bool(cancelled)) is False
-    assert os.listdir(tmp_path) == []
-
-
-def broken(error, good=2):
-    for i in range(good):
-        yield noise(32, 32, seed=i)
-    raise error
-
-
-@pytest.mark.limits
-def test_video_faults(tmp_path, capfd):
-    path = tmp_path / "v.mp4"
-    path.write_text("old")
-    assert "No such file" in fault(tmp_path / "none" / "v.mp4", export_video, broken(None), 30)
-    assert "must end in" in fault(tmp_path / "v.gif", export_video, broken(None), 30)
-    assert "no frames" in fault(path, export_video, iter(()), 30)
-    assert "per second" in fault(path, export_video, broken(None), 0)
-    assert "frame 1 is 4×2, not 32×32" in fault(path, export_video, iter([noise(32, 32), noise(2, 4)]), 30)
-    assert "uint8" in fault(path, export_video, iter([noise(4, 4, 4)]), 30)
-    assert "cannot make frame 2: gone" in fault(path, export_video, broken(OSError("gone")), 30)
-    with pytest.raises(GffeError, match=r"^frame_7\.exr: damaged$"):
-        export_video(path, broken(GffeError("frame_7.exr: damaged")), 30)
-    with pytest.raises(ZeroDivisionError):
-        export_video(path, broken(ZeroDivisionError(), 0), 30)
-    with limited(20000):  # ends the encoder with its input half read, or unheard at the very end
-        for count in (3, 60):
-            assert "encoder" in fault(path, export_video, (noise(128, 128, seed=i) for i in range(count)), 30)
-    assert os.listdir(tmp_path) == ["v.mp4"] and path.read_text() == "old"
-
-
 def test_unused_names(tmp_path):
     assert unused_name(tmp_path, "frame.color", ".png") == tmp_path / "frame.color.png"
     for expected in ("a", "a_2", "a_3"):
@@ -881,14 +814,15 @@ def test_unused_names(tmp_path):
 def test_timings_count_the_network_to_shading_correction():
     def computed(**milliseconds):
         kernels = {stage: {stage: taken} for stage, taken in milliseconds.items()}
-        return SimpleNamespace(kernels=kernels, milliseconds=milliseconds, wall_ms=9.0, readback_ms=1.0)
+        moment = SimpleNamespace(alpha=0.5 * ("warp" in milliseconds))
+        return SimpleNamespace(kernels=kernels, milliseconds=milliseconds, wall_ms=9.0, readback_ms=1.0, moment=moment)
 
     timings = Timings()
     for network in (4.0, 8.0):
         timings.add(computed(warp=1.0, correction=2.0, network=network))
     assert timings.means() == {"warp": 1.0, "correction": 8.0} and timings.network() == 6.0
     timings.add(computed(warp=4.0))  # shading correction is off
-    assert timings.means() == {"warp": 2.0}
+    assert timings.means() == {"warp": 2.0} and timings.text == "mean of the last 3 shown frames, 3 generated"
 
 
 @pytest.mark.parametrize(
@@ -903,14 +837,14 @@ def test_numbers_in_pixels_have_room(value, letters, written):
 def test_frames_are_written_as_slots_or_as_parts_of_the_way():
     playback = Playback(count=6, n=3)
     written = {"0": 0, "23": 23, "4+1/4": 17, "4 + 1/2": 18, "4+3/4": 19, "4+2/8": 17, "4+0": 16}
-    assert {text: read_place(text, "--frame").slot(playback, "--frame") for text in written} == written
-    for text, message in (("24", r"--frame must be 0 to 23 \(0 to 5\+3/4\), got 24"), ("6+1/4", "got 6"),
+    assert {text: slot_of(text, playback) for text in written} == written
+    for text, message in (("24", r"expected 0 to 23 \(0 to 5\+3/4\), got 24"), ("6+1/4", "got 6"),
                           ("4+1/3", r"4\+1/3: generated frames are at 4\+1/4")):  # fmt: skip
         with pytest.raises(GffeError, match=message):
-            read_place(text, "--frame").slot(playback, "--frame")
+            slot_of(text, playback)
     for text in ("4+", "-1", "1.5", "4+1", "4+0/2", "4+2/2", "4+1/0", "", "x", "٣"):
         with pytest.raises(GffeError, match=r"generated ones counted \(9\)"):
-            read_place(text, "--frame")
+            slot_of(text, playback)
 
 
 def test_zooming_in_goes_to_the_picked_pixel_if_it_is_seen():
@@ -929,9 +863,9 @@ def test_an_ablation_keeps_the_movers_where_there_is_little_room():
 
 def test_a_chord_whose_modifier_is_let_go_in_the_frame_of_its_key():
     """Where frames are long: Ctrl down, then K down and Ctrl up in one frame is Ctrl+K; K alone afterwards is K."""
-    ran, actions = [], Actions()
+    ran, actions = [], Actions(None)
     for shortcut in ("K", "Ctrl+K"):
-        actions.register(Action(shortcut, shortcut, "", shortcut, partial(ran.append, shortcut)))
+        actions.register(Action(shortcut, shortcut, "", shortcut, lambda app, shortcut=shortcut: ran.append(shortcut)))
     context, key = imgui.create_context(), imgui.Key
     try:
         io = imgui.get_io()
@@ -943,7 +877,7 @@ def test_a_chord_whose_modifier_is_let_go_in_the_frame_of_its_key():
             for which, down in events:
                 io.add_key_event(which, down)
             imgui.new_frame()
-            keys.dispatch(actions)
+            dispatch(actions)
             imgui.end_frame()
     finally:
         imgui.destroy_context(context)

@@ -27,18 +27,17 @@ from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.engine.slot_maker import Seeker
-from gffe_cl.viewer.picture.legends import value_text
 from gffe_cl.viewer.state import opening
-from gffe_cl.viewer.state.copying import numbers_of, value_of
+from gffe_cl.viewer.state.captions import value_text
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
-from gffe_cl.viewer.state.saving import FiguresWork, LayersWork
+from gffe_cl.viewer.state.saving import LayersWork
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.window import status
 from gffe_cl.viewer.window.doctor import offers_repair
 from gffe_cl.viewer.window.inspector import rows_of
-from gffe_cl.viewer.window.palette import stepped
+from gffe_cl.viewer.window.windows import stepped
 
 
 @pytest.fixture
@@ -153,24 +152,15 @@ def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
     assert model.saving.saved == work.path and str(work.path) in model.messages[-1].text
 
 
-def test_figures_are_saved_where_the_user_wants_and_taken_as_b(session, tmp_path):
+def test_the_folder_of_what_is_saved_is_chosen(session, tmp_path):
     model = session.model
-    model.metrics[1] = Figures({"psnr": 30.0})
     model.saving.choose_folder(str(tmp_path / "nothing"))
     assert model.messages[-1].error and "no such folder" in model.messages[-1].text
     (tmp_path / "chosen").mkdir()
     model.saving.choose_folder(str(tmp_path / "chosen"))
-    model.saving.start(lambda subject: FiguresWork(subject, model.survey.document()))
+    model.saving.start(LayersWork)
     session.until(lambda: model.saving.work is None)
-    (path,) = (tmp_path / "chosen").iterdir()
-    assert model.saving.saved == path
-    model.sides.keep()
-    model.sides.take_b_from(str(path))
-    session.frame()
-    assert not model.comparison.by_settings and model.survey.figures(model.survey.b)[1].values == {"psnr": 30.0}
-    path.write_text("{}")
-    model.sides.take_b_from(str(path))
-    assert model.messages[-1].error and "expected those of the viewer" in model.messages[-1].text
+    assert model.saving.saved == next((tmp_path / "chosen").iterdir())
 
 
 def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):
@@ -271,13 +261,12 @@ def test_reload_opens_what_is_shown(session, tmp_path):
     model.open(str(tmp_path / "missing"))
     session.until(lambda: any("missing" in message.text for message in model.messages))
     assert model.source.name == "second" and model.settings.recent[0] == str(tmp_path / "second")
-    assert not model.undo.done
     model.set("levels", 0)
     session.settle()
     model.reload()
     opened = model.source
     session.until(lambda: model.source is not opened)
-    assert model.source.name == "second" and model.undo.done
+    assert model.source.name == "second"
 
 
 def test_holding_b_has_b_read_back(session):
@@ -541,34 +530,23 @@ def test_the_doctor_marks_frames_in_the_wrong_place():
     assert told[1].marks
 
 
-def test_the_worst_pixel_is_looked_at_and_then_the_next_one(session):
+def test_the_worst_pixel_is_looked_at(session):
     model = session.model
-    assert "rendered frame" in model.worst.why_not()
     model.playback.seek(1)
-    model.show_layer("frame.motion")
-    session.settle()
-    picked = []
-    for _ in range(2):
-        model.worst.due = True
-        session.settle()
-        picked.append(model.pointing.picked)
-        assert f"number {len(picked)} of the frame" in model.messages[-1].text
-    assert len(set(picked)) == len(picked)
-    model.show_layer("final")
     model.comparison.with_layer("truth")
     model.comparison.set("error")
     session.settle()
+    model.go_to_largest()
     images = (to_display(model.contents.image(name)[..., :3], 1.0) for name in ("final", "truth"))
-    error = np.abs(np.subtract(*images)).mean(-1)
-    assert error[picked[0][1], picked[0][0]] == error.max()
+    error, (x, y) = np.abs(np.subtract(*images)).mean(-1), model.pointing.picked
+    assert error[y, x] == error.max() and f"at ({x}, {y})" in model.messages[-1].text
     model.sides.keep()
     session.settle()
-    model.worst.due = True
-    session.settle()
+    model.go_to_largest()
     assert model.messages[-1].text == "A and B are equal here"
 
 
-def test_saved_pictures_name_frame_layers_and_settings(session):
+def test_legends_have_the_units_of_what_is_compared(session):
     model = session.model
     model.playback.seek(3)
     model.parameters.switch("crack_closing", False)
@@ -577,26 +555,18 @@ def test_saved_pictures_name_frame_layers_and_settings(session):
     model.show_layer("frame.depth")
     session.settle()
 
-    def titles():
-        return [entry.title for entry in model.saving.subject.legends()]
+    def unit():
+        return model.captions.legends()[0].legend.unit
 
-    name = model.source.name
-    assert titles()[:2] == [f"{name}   generated: frame 1 + 1/2", "frame: Depth   defaults"]
     model.comparison.set("error")
-    assert titles()[1:3] == ["A  frame: Depth   defaults", "B  frame: Depth   no crack closing"]
-    assert model.captions.legends()[0].legend.unit == "world units"
+    assert unit() == "world units"
     model.show_layer("final")
     model.comparison.with_layer("truth")
-    assert titles()[1:3] == ["A  frame: Final   defaults", "B  frame: Ground truth"]
-    assert model.captions.legends()[0].legend.unit == "of display values"
-    for overlay, region, said in (("regions", -1, "tinted by regions"), ("regions", 1, "dimmed outside the region")):
-        model.view.overlay, model.view.region = overlay, region
-        assert model.captions.legends()[0].legend.unit == f"of display values, {said}"
-    model.view.overlay = "none"
-    model.comparison.set("flip error")
-    assert model.captions.legends()[0].legend.unit.startswith("FLIP")
-    model.settings.legends = False
-    assert titles() == []
+    assert unit() == "of display values"
+    if model.comparison.why_not("flip error") is None:
+        model.comparison.set("flip error")
+        session.settle()
+        assert unit().startswith("FLIP") and model.comparison.flip_map.shape == model.contents.size[::-1]
 
 
 def test_only_faults_are_offered_for_repair():
@@ -604,28 +574,6 @@ def test_only_faults_are_offered_for_repair():
     fault = Finding(FAULT, "motion", "y flipped", "y points up", "y is turned round")
     assert not offers_repair([note]) and offers_repair([note, fault])
     assert not offers_repair([Finding(FAULT, "camera", "fov", "the field of view is wrong")])
-
-
-def test_settings_are_undone_and_redone(session):
-    model, options = session.model, []
-    for name, value in (("motion", False), ("static_threshold", 3.0)):
-        session.model.undo._changed_at = -1.0  # long ago
-        options.append(model.parameters.options)
-        model.set(name, value)
-        session.frame()
-    model.undo.undo()
-    session.settle()
-    assert model.parameters.options == options[1] and not model.contents.result.setup.options.motion
-    model.undo.undo()
-    session.frame()
-    assert model.parameters.options == options[0] and not model.undo.done
-    model.undo.redo()
-    model.undo.redo()
-    session.frame()
-    assert model.parameters.options.static_threshold == 3.0 and not model.parameters.options.motion
-    model.set("motion", True)
-    session.frame()
-    assert not model.undo.undone
 
 
 def test_only_generated_frames_are_shown_while_it_plays(session):
@@ -641,21 +589,13 @@ def test_only_generated_frames_are_shown_while_it_plays(session):
     assert model.contents.result.slot == 2
 
 
-def test_values_stay_at_the_picked_pixel_and_are_copied(session):
+def test_values_stay_at_the_picked_pixel(session):
     model = session.model
     model.pointing.pick((3, 4))
     model.pointing.hover((7.5, 5.5))
     session.until(lambda: model.pointing.inspection is not None and model.pointing.pinned is not None)
     session.settle()
     assert (model.pointing.pinned.pixel, model.pointing.inspection.pixel) == ((3, 4), (7, 5))
-    text = value_of(model.contents, model.captions.frame, "final", model.pointing.pinned)
-    color = model.contents.image("final")[4, 3]
-    assert (
-        text
-        == f"first, rendered frame 0, frame: Final, pixel (3, 4): R {color[0]:.4g}  G {color[1]:.4g}  B {color[2]:.4g}"
-    )
-    image = np.arange(24.0).reshape(3, 4, 2)
-    assert numbers_of(image, (1, 1, 3, 3)) == "10 11\t12 13\n18 19\t20 21"
 
 
 def test_a_picture_under_way_is_stopped_and_gone_on_with(session):

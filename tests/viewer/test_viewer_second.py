@@ -21,7 +21,7 @@ from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.picture.displays import FrameInfo
 from gffe_cl.viewer.state.presets import command_line
 from gffe_cl.viewer.state.studies import difference, modules_of
-from gffe_cl.viewer.window.differing import show
+from gffe_cl.viewer.window.studies import show_difference
 
 
 @pytest.fixture
@@ -252,8 +252,10 @@ def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
     session.settle()
     np.testing.assert_array_equal(session.canvas.layers["B:final"], model.contents.image("final"))
     model.sides.take_b_from(str(tmp_path / "nothing"))
+    assert "nothing: no such file or folder" in model.messages[-1].text and model.messages[-1].error
+    shutil.rmtree(tmp_path / "out")
     session.settle()
-    assert "nothing" in model.showing.fault_of_b and model.contents.second is None
+    assert "out" in model.showing.fault_of_b and model.contents.second is None
 
 
 def test_b_is_other_kernels_in_a_folder(session, tmp_path):
@@ -297,7 +299,7 @@ def test_a_layer_differs_in_a_plane_that_is_named():
         looks=SimpleNamespace(choose_plane=lambda *given: looks.append(given)), show_layer=shown.append,
         comparison=SimpleNamespace(with_settings=lambda: None, set=shown.append),
     )  # fmt: skip
-    show(model, found)
+    show_difference(model, found)
     assert shown == [spec.name, "difference"] and looks == [(spec.name, 2)]
     frames[1].images.clear()
     only = difference(spec, *frames, info)

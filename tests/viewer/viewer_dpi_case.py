@@ -30,7 +30,7 @@ def main(report: Path) -> None:
 
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
-    from gffe_cl.viewer.window.app import App
+    from gffe_cl.viewer.window.running import new_app, run
 
     model, frames = Model(Settings(), start=False, save_settings=False), []
 
@@ -44,7 +44,7 @@ def main(report: Path) -> None:
 
     remembered = []
     model.remember = remembered.append
-    App(model, on_frame=look).run((600, 400))
+    run(new_app(model, on_frame=look), (600, 400))
     report.write_text(json.dumps({"frames": frames, "remembered": remembered[0]}))
 
 

@@ -26,15 +26,15 @@ def add_panel_of_the_map() -> None:
     import importlib.util
     import re
 
-    from gffe_cl.viewer.window import table
+    from gffe_cl.viewer.window import docks
 
     text = Path(__file__).parents[2].joinpath("docs", "map.md").read_text(encoding="utf-8")
     code, line = re.findall(r"```python\n(.*?)```", text.partition("## Add a panel")[2], re.DOTALL)[:2]
-    spec = importlib.util.spec_from_loader(f"{table.__package__}.brightest", None)
+    spec = importlib.util.spec_from_loader(f"{docks.__package__}.brightest", None)
     module = importlib.util.module_from_spec(spec)
     exec(code, module.__dict__)
     sys.modules[spec.name] = module
-    table.PANELS |= eval(f"{{{line}}}", {"Panel": table.Panel})
+    docks.PANELS |= eval(f"{{{line}}}", {"Panel": docks.Panel})
 
 
 def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
@@ -49,7 +49,7 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
-    from gffe_cl.viewer.window.app import App
+    from gffe_cl.viewer.window.running import new_app
     from gffe_cl.viewer.window.start import leaving
 
     network.default_model = lambda: None  # nothing hangs on weights that are installed
@@ -63,11 +63,11 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     with leaving(model):
         if phase == "smoke":
             add_panel_of_the_map()
-            driver.run(App(model), {"smoke": looking.smoke}, report, artifacts, None, (1280, 720))
+            driver.run(new_app(model), {"smoke": looking.smoke}, report, artifacts, None, (1280, 720))
         elif phase == "first":
-            driver.run(App(model), cases, report, artifacts, doing.leave_while_working, (1280, 720))
+            driver.run(new_app(model), cases, report, artifacts, doing.leave_while_working, (1280, 720))
         else:
-            driver.run(App(model), {"restart": doing.found_again}, report, artifacts, doing.leave_while_saving)
+            driver.run(new_app(model), {"restart": doing.found_again}, report, artifacts)
 
 
 if __name__ == "__main__":

@@ -1,8 +1,7 @@
-"""GUI cases: the window, saving, how fast it is, and what a restart finds."""
+"""GUI cases: the window, saving, and what a restart finds."""
 
 from __future__ import annotations
 
-import time
 from pathlib import Path
 
 import glfw
@@ -92,7 +91,7 @@ def resizing(gui: Gui):
     values, model = gui.values, gui.model
     window = gui.on_screen(glfw_utils.glfw_window_hello_imgui)
     values["sizes"] = []
-    for size in ((900, 600), (1500, 950), (1280, 720)):
+    for size in ((900, 600), (1280, 720)):
         gui.on_screen(lambda size=size: glfw.set_window_size(window, *size))
         gui.wait(lambda size=size: tuple(imgui.get_io().display_size) == size, f"a window of {size}")
         gui.frames(3)
@@ -120,89 +119,13 @@ def resizing(gui: Gui):
         gui.shot(f"resizing, {size[0]}×{size[1]}")
 
 
-class OwnTime:
-    """Seconds of the processor that our own code takes in each frame of the interface, drawing left out."""
-
-    def __init__(self, app):
-        self.frames: list[float] = []
-        self.busy = 0  # frames while the engine was at work
-        self._app, self._drawing = app, 0.0
-        self._panels = app._params.docking_params.dockable_windows
-        self._before = app._before_frame, app._windows, [panel.gui_function for panel in self._panels]
-
-    def __enter__(self):
-        app, callbacks = self._app, self._app._params.callbacks
-        self._canvas = {name: getattr(app.canvas, name) for name in ("draw", "overview", "upload")}
-        for name, function in self._canvas.items():
-            setattr(app.canvas, name, self._timed(function, drawing=True))
-        callbacks.pre_new_frame = self._timed(self._before[0], first=True)
-        callbacks.show_gui = self._timed(self._before[1])
-        for panel, function in zip(self._panels, self._before[2], strict=True):
-            panel.gui_function = self._timed(function)
-        return self
-
-    def __exit__(self, *_):
-        app, callbacks = self._app, self._app._params.callbacks
-        for name in self._canvas:
-            delattr(app.canvas, name)
-        callbacks.pre_new_frame, callbacks.show_gui = self._before[:2]
-        for panel, function in zip(self._panels, self._before[2], strict=True):
-            panel.gui_function = function
-
-    def _timed(self, function, drawing=False, first=False):
-        def run(*arguments, **named):
-            if first:
-                self.frames.append(0.0)
-                self.busy += self._app.model.busy
-            start, drawn = time.thread_time(), self._drawing
-            try:
-                return function(*arguments, **named)
-            finally:
-                took = time.thread_time() - start
-                if drawing:
-                    self._drawing = drawn + took
-                elif self.frames:
-                    self.frames[-1] += took - (self._drawing - drawn)
-
-        return run
-
-
-@case
-def keys_while_computing(gui: Gui):
-    """The interface answers while slots are computed that take far longer than a frame of it."""
-    model, values = gui.model, gui.values
-    gui.open(gui.sequences / "large")
-    cache = model.store
-    cache.forget(lambda key: True)
-    cache.most, most = 0, cache.most
-    model.playback.seek(0)
-    gui.settle()
-    answered = []
-    with OwnTime(gui.app) as own:
-        for step in range(6):
-            gui.key(KEY.right_arrow)
-            before = model.looks.of("final").exposure
-            gui.key(KEY.e)
-            answered.append((model.playback.slot, model.looks.of("final").exposure - before))
-            if step == 3:
-                gui.key(KEY.o)  # all layers, large ones
-                gui.settle()
-                gui.key(KEY.o)
-        gui.key(KEY.s, CTRL)
-        gui.settle()
-    cache.most = most
-    values |= {"answered": answered, "while computing": own.busy, "own": own.frames}
-    values["saved"] = gui.told().count("saved")
-    gui.open(gui.sequences / "small")
-
-
 def _made(before: set[Path]) -> list[Path]:
     return sorted(set(Path.cwd().iterdir()) - before)
 
 
 @case
 def saving(gui: Gui):
-    """PNG, EXR and MP4 in the working folder."""
+    """PNG and EXR in the working folder."""
     from gffe_cl.captures.sequence.exr import read_channels
 
     model, values = gui.model, gui.values
@@ -224,35 +147,6 @@ def saving(gui: Gui):
     values["exr"] = {"files": sorted(path.stem for path in folder.iterdir()), "layers": sorted(images)}
     depth = read_channels(folder / "frame.depth.exr", ["Y"], "depth")["Y"]
     values["exr"]["depth is right"] = bool(np.array_equal(depth, images["frame.depth"]))
-    model.playback.set_in(2)
-    model.playback.set_out(9)
-    before = set(Path.cwd().iterdir())
-    gui.key(KEY.m, CTRL)
-    gui.frames(2)
-    values["progress"] = gui.exists("//###export")
-    gui.shot("saving")
-    gui.wait(lambda: model.saving.work is None, "the video")
-    (video,) = _made(before)
-    import imageio_ffmpeg
-
-    values["mp4"] = {"frames": imageio_ffmpeg.count_frames_and_secs(video)[0], "name": video.suffix}
-    values["back at"] = model.playback.slot
-    values["told"] = gui.told()
-
-
-@case
-def cancelling(gui: Gui):
-    """A video that is cancelled leaves nothing."""
-    model, values = gui.model, gui.values
-    model.set("n", 7)
-    gui.settle()
-    before = set(Path.cwd().iterdir())
-    gui.key(KEY.m, CTRL)
-    gui.wait(lambda: model.saving.work is not None and model.saving.work.done > 3, "some frames")
-    values["of"] = model.saving.work.total
-    gui.click("//###export/###cancel_export")
-    gui.wait(lambda: model.saving.work is None, "the end")
-    values["left over"] = [path.name for path in _made(before)]
     values["told"] = gui.told()
 
 
@@ -282,18 +176,6 @@ def leave_while_working(gui: Gui) -> None:
     model.playback.seek(60)
     gui.frames(3)
     assert model.busy
-
-
-def leave_while_saving(gui: Gui) -> None:
-    """A video that is being written when the window is closed."""
-    model = gui.model
-    gui.reset()
-    gui.open(gui.sequences / "large")
-    model.set("n", 7)
-    gui.settle()
-    gui.key(KEY.m, CTRL)
-    gui.wait(lambda: model.saving.work is not None and model.saving.work.done > 3, "some frames")
-    gui.values["part"] = [path.name for path in Path.cwd().glob(".*.part*")]
 
 
 def found_again(gui: Gui) -> None:

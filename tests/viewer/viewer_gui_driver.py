@@ -17,6 +17,7 @@ from gffe_cl import Options
 from gffe_cl.viewer.picture.canvas import read
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.state.parameters import ALWAYS
+from gffe_cl.viewer.window import running
 from gffe_cl.viewer.window.app import App
 
 KEY = imgui.Key
@@ -246,7 +247,7 @@ def run(app: App, cases: dict, report: Path, artifacts: Path, at_end=None, size=
         report.write_text(json.dumps({"cases": outcomes, "closed": time.time()}, indent=1, default=_plain))
         app.close()
 
-    app.run(size, test=register)
+    running.run(app, size, test=register)
 
 
 def _plain(value):

@@ -10,8 +10,8 @@ import numpy as np
 from imgui_bundle import imgui
 from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
 
+from gffe_cl.viewer.window.app import has_dialogs
 from gffe_cl.viewer.window.timeline import DOUBT
-from gffe_cl.viewer.window.workspace import has_dialogs
 
 CASES, case = collector()
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value

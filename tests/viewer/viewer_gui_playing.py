@@ -2,11 +2,8 @@
 
 from __future__ import annotations
 
-import numpy as np
 from imgui_bundle import imgui
 from viewer_gui_driver import KEY, SHIFT, Gui, collector
-
-from gffe_cl.viewer.window.timeline import CACHED
 
 CASES, case = collector()
 
@@ -52,20 +49,6 @@ def playback(gui: Gui):
 def _disabled(gui: Gui) -> list[str]:
     flags = {name: gui.ctx.item_info(f"//Modules/{name}").item_flags for name in ("shading correction", "focus mask")}
     return [name for name, value in flags.items() if value & imgui.ItemFlags_.disabled.value]
-
-
-@case
-def cached_playback(gui: Gui):
-    """Idle time fills the cache, which the timeline shows; what is played then comes from there."""
-    model, values = gui.model, gui.values
-    gui.wait(lambda: len(model.ahead.cached) == model.playback.slots, "the cache")
-    gui.frames(2)
-    left, top, width, height = map(int, gui.area("//Timeline/###scrub"))
-    below = gui.window()[top + height + 1, left + 1 : left + width - 1].astype(int)
-    values["share marked as cached"] = float((np.abs(below - np.multiply(CACHED[:3], 255)).max(-1) < 3).mean())
-    gui.key(KEY.space)
-    gui.wait(lambda: model.playback.shown >= 24, "one and a half laps")
-    values["plays while nothing is computed"] = model.playback.playing and not model.busy
 
 
 @case

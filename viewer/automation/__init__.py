@@ -1,1 +1,1 @@
-"""The viewer without a user: scripts and films, screenshots, measured playback."""
+"""The viewer without a user: scripts, films and screenshots."""

@@ -1,8 +1,8 @@
-"""Figures of generated slots against ground truth: metrics, flicker, and the regions of errors."""
+"""Figures of slots: metrics against ground truth, flicker, PSNR by regions of the image, and times."""
 
 from __future__ import annotations
 
-from collections import OrderedDict, deque
+from collections import OrderedDict, defaultdict, deque
 from concurrent.futures import Future
 from contextlib import suppress
 from dataclasses import dataclass, field
@@ -10,14 +10,15 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gffe_cl.engine.inspection import names
-from gffe_cl.lab.metrics import METRICS, focus_mask, measurable, squared_error, to_display
+from gffe_cl.lab.metrics import METRICS, focus_mask, measurable, to_display
 from gffe_cl.lab.metrics.flicker import Flicker
 from gffe_cl.lab.metrics.regions import REGIONS as _TABLE
 from gffe_cl.lab.metrics.regions import shows, steps, world_positions
 from .background import Background
 from .messages import Frame, Key, Recipe
 
-NEEDED = frozenset({names.FINAL, names.GAE, names.TRUTH, names.DEPTH, names.DYNAMIC, names.DISOCCLUDED})
+NEEDED = frozenset({names.FINAL, names.TRUTH, names.DISOCCLUDED})
+NEEDED_BY_REGION = NEEDED | {names.GAE, names.DEPTH, names.DYNAMIC}
 
 _RECIPES = 8  # whose figures are remembered
 _SLOW = 4  # slots that wait for metrics that are slow
@@ -58,35 +59,16 @@ QUANTITIES = {
 
 
 @dataclass(frozen=True)
-class Part:
-    """A region: its share of the pixels and of the squared error, 0 to 1; its squared error as a mean over the whole
-    image; and PSNR in it (NaN if it is empty)."""
-
-    pixels: float
-    error: float
-    squared: float
-    psnr: float
-
-    @classmethod
-    def of(cls, pixels: float, squared: float, whole: float) -> Part:
-        """Return a region with a share `pixels` of the image; `squared` is its squared error and `whole` that of all
-        regions, both as means over the whole image."""
-        psnr = METRICS["psnr"].of_mean(squared / pixels) if pixels else float("nan")
-        return cls(pixels, squared / whole if whole > 0 else 0.0, squared, psnr)
-
-
-@dataclass(frozen=True)
 class Figures:
-    """Figures of one slot: by the names of `QUANTITIES` and of metrics, as far as they are known, and by region.
+    """Figures of one slot: by the names of `QUANTITIES` and of metrics, as far as they are known.
     `surveyed`: all quantities are there that can be."""
 
     values: dict[str, float] = field(default_factory=dict)
-    parts: dict[str, Part] = field(default_factory=dict)
     surveyed: bool = False
 
     def joined(self, other: Figures) -> Figures:
         """Return these figures and the others of the same slot."""
-        return Figures(self.values | other.values, other.parts or self.parts, self.surveyed or other.surveyed)
+        return Figures(self.values | other.values, self.surveyed or other.surveyed)
 
 
 class Measurer:
@@ -114,7 +96,7 @@ class Measurer:
         change = self._change(frame, shown, true)
         if change is not None:
             values["flicker"] = change
-        return Figures(values, parts_of(region_labels(frame, exposure), squared_error(shown, true)), True)
+        return Figures(values, surveyed=True)
 
     def _change(self, frame: Frame, shown: np.ndarray, true: np.ndarray) -> float | None:
         """Return the flicker since the slot before, None if that was not measured. Rendered slots have no error."""
@@ -246,7 +228,7 @@ def out_of_screen(frame: Frame, holes: np.ndarray) -> np.ndarray:
 
 def region_labels(frame: Frame, exposure: float) -> np.ndarray:
     """Return (H, W) uint8: the region of each pixel, as an index into `REGIONS`, of a generated slot with the layers
-    `NEEDED`."""
+    `NEEDED_BY_REGION`."""
     images = frame.images
     depth, dynamic = images[names.DEPTH], images[names.DYNAMIC] != 0
     holes = images[names.DISOCCLUDED] != 0
@@ -266,14 +248,90 @@ def region_labels(frame: Frame, exposure: float) -> np.ndarray:
     return labels
 
 
-def parts_of(labels: np.ndarray, squared: np.ndarray) -> dict[str, Part]:
-    """Return the regions' shares and errors by name. `labels`: (H, W) indices into `REGIONS`; `squared`: (H, W) squared
-    error of display values."""
-    counts = np.bincount(labels.ravel(), minlength=len(REGIONS))
-    sums = np.bincount(labels.ravel(), squared.ravel(), minlength=len(REGIONS))
-    parts = (float(sums[number]) / labels.size for number in range(len(REGIONS)))
-    whole = float(sums.sum()) / labels.size
+def psnr_by_region(labels: np.ndarray, squared: np.ndarray) -> dict[str, float]:
+    """Return PSNR in dB by the names of `REGIONS`, NaN of empty ones. `labels`: (H, W) indices into `REGIONS`;
+    `squared`: (H, W) squared error of display values."""
+    counts = np.bincount(labels.ravel(), minlength=len(REGIONS)).tolist()
+    sums = np.bincount(labels.ravel(), squared.ravel(), minlength=len(REGIONS)).tolist()
     return {
-        name: Part.of(float(count) / labels.size, part, whole)
-        for name, count, part in zip(REGIONS, counts, parts, strict=True)
+        name: METRICS["psnr"].of_mean(whole / count) if count else float("nan")
+        for name, count, whole in zip(REGIONS, counts, sums, strict=True)
     }
+
+
+HISTORY = 120  # computed frames in the plot
+_MEAN = 20  # ... and in the means
+
+
+class Timings:
+    """Milliseconds of the frames that were shown last, those from the cache with the times of when they were computed;
+    `stages` are kernel times by stage, of shading correction with the time
+    in the network, which `network` has alone, and that of its copies."""
+
+    def __init__(self):
+        self.stages: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=HISTORY))
+        self.kernels: dict[tuple[str, str], deque[float]] = defaultdict(lambda: deque(maxlen=_MEAN))  # (stage, kernel)
+        self._generated: deque[bool] = deque(maxlen=_MEAN)
+        self._networks: deque[float] = deque(maxlen=_MEAN)
+        self._copies: deque[float] = deque(maxlen=_MEAN)
+        self._walls: deque[float] = deque(maxlen=_MEAN)
+        self._readbacks: deque[float] = deque(maxlen=_MEAN)
+
+    def add(self, frame) -> None:
+        """Add the times of a shown Frame."""
+        self._generated.append(frame.moment.alpha > 0)
+        taken = dict(frame.milliseconds)
+        network = taken.pop("network", 0.0)
+        copies = taken.pop("network copies", 0.0)
+        if "correction" in taken:
+            taken["correction"] += network + copies
+        self._networks.append(network)
+        self._copies.append(copies)
+        for name in self.stages.keys() - taken.keys():
+            del self.stages[name]
+        for name, milliseconds in taken.items():
+            self.stages[name].append(milliseconds)
+        kernels = {(stage, kernel): ms for stage, taken in frame.kernels.items() for kernel, ms in taken.items()}
+        for name in self.kernels.keys() - kernels.keys():
+            if name[0] in taken:
+                kernels[name] = 0.0  # of a rendered frame, or of generated ones, alone
+            else:
+                del self.kernels[name]
+        for name, milliseconds in kernels.items():
+            if name not in self.kernels:  # as many frames as its stage has
+                self.kernels[name].extend([0.0] * (len(self.stages[name[0]]) - 1) if name[0] in self.stages else [])
+            self.kernels[name].append(milliseconds)
+        self._walls.append(frame.wall_ms)
+        self._readbacks.append(frame.readback_ms)
+
+    @property
+    def text(self) -> str:
+        """Which frames the means are of, in words."""
+        count, generated = len(self._generated), sum(self._generated)
+        return f"mean of the last {count} shown frame{'s' * (count > 1)}, {generated} generated"
+
+    def means(self) -> dict[str, float]:
+        """Return the mean kernel times by stage, milliseconds."""
+        return {name: _mean(list(values)[-_MEAN:]) for name, values in self.stages.items()}
+
+    def of_stage(self, stage: str) -> dict[str, float]:
+        """Return the mean times of a stage's kernels by their names, milliseconds."""
+        return {kernel: _mean(values) for (owner, kernel), values in self.kernels.items() if owner == stage}
+
+    def network(self) -> float:
+        return _mean(self._networks)
+
+    def copies(self) -> float:
+        """Return the mean time of transfers from the device to the network's runtime and back, milliseconds."""
+        return _mean(self._copies)
+
+    def wall(self) -> float:
+        """Return the mean time from taking a request to its images, milliseconds."""
+        return _mean(self._walls)
+
+    def readback(self) -> float:
+        return _mean(self._readbacks)
+
+
+def _mean(values) -> float:
+    return float(np.mean(values)) if len(values) else 0.0

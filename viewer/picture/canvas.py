@@ -19,9 +19,8 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import VIEWS, LayerSpec
 from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.engine.stages.frame_block import reprojection
-from . import colors, differences
-from .colors import Rgb
-from .displays import TONE_MAPS, Display, FrameInfo, shown_as
+from . import differences, displays
+from .displays import TONE_MAPS, Display, FrameInfo, Rgb, shown_as
 from .textures import Texture, texels_of
 from .view import COMPARISONS, INVALID, INVALID_RENDERED, INVALID_SHOWN, OVERLAYS, Size, View
 
@@ -31,10 +30,7 @@ _VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE
 _MIXING = ("difference", "error")  # comparisons that need A and B at one place
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
-_REGIONS = "regions"
-_LABELED = (_REGIONS, "disocclusions")  # overlays of a layer of their name
-_SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "rendered_motion", "rendered_color", _REGIONS,
-             "mask_a", "mask_b", "color_maps")  # fmt: skip
+_SAMPLERS = ("texels_a", "texels_b", *(f"rendered_{key}" for key in _RENDERED), "mask_a", "mask_b", "color_maps")
 _MARK = 3.0  # screen pixels that a mark is wide at least
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
@@ -74,8 +70,8 @@ class _Program:
         self._program = ctx.program(vertex_shader=vertex, fragment_shader=fragment)
         self._uniforms = {name: self._program[name] for name in self._program}
         self.triangle = ctx.vertex_array(self._program, [])
-        marks = {"label_colors": colors.LABEL_COLORS, "sky": colors.SKY, "mask_off": colors.MASK_OFF}
-        self.set("", _UNITS | marks | {"wheel_center": colors.WHEEL_CENTER})
+        marks = {"label_colors": displays.LABEL_COLORS, "sky": displays.SKY, "mask_off": displays.MASK_OFF}
+        self.set("", _UNITS | marks | {"wheel_center": displays.WHEEL_CENTER})
 
     def set(self, prefix: str, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
@@ -106,8 +102,8 @@ class Canvas:
         self._layers: dict[str, Texture] = {}
         self._targets: dict[str, moderngl.Framebuffer] = {}
         self._nothing = _Shown(Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0), {})
-        tables = np.stack([colors.color_table(name) for name in colors.COLOR_MAPS])
-        self._color_maps = ctx.texture((256, len(colors.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
+        tables = np.stack([displays.color_table(name) for name in displays.COLOR_MAPS])
+        self._color_maps = ctx.texture((256, len(displays.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
         self._color_maps.repeat_x = self._color_maps.repeat_y = False
 
     # ---- layers ----------------------------------------------------------------------------------------
@@ -308,12 +304,11 @@ class Canvas:
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
-        regions = self._layers.get(view.overlay) if view.overlay in _LABELED else None
         level = max(math.ceil(math.log2(_MARK / max(view.zoom, 1e-6))), 0)
         for index, mask in enumerate(masks):
             program.set(f"layer[{index}].", {"mask_size": mask.size if mask else (1, 1)})
         largest = [mask and mask.largest(level) for mask in masks]
-        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), regions, *largest)):
+        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), *largest)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
@@ -328,8 +323,6 @@ class Canvas:
             "error_squared": view.error == "squared",
             "error_high": max(view.error_high, 1e-12),
             "residual_scale": max(view.residual_scale, 1e-6),
-            "region": view.region,
-            "has_regions": regions is not None,
             "mark_level": level,
         }
         program.set("", values)
@@ -404,12 +397,12 @@ class Canvas:
             "level": level,
             "weighted": spec.view == "color" and spec.components[3:] == ("weight",),
             "gain": 2.0**display.exposure * frame.exposure,
-            "color_map": colors.COLOR_MAPS.index(display.color_map),
+            "color_map": displays.COLOR_MAPS.index(display.color_map),
             "range": (low, high if high != low else low + abs(low) * 1e-6 + 1e-12),
             "inverse": display.inverse,
             "motion_scale": max(display.motion_scale, 1e-6) * (-1 if display.reverse else 1),
             "tint": display.tint,
-            "label_flip": colors.label_flip(spec),
+            "label_flip": displays.label_flip(spec),
             "mask_area": frame.source_area if grid_of(spec.grid).lies_on_source else frame.target_area,
         }
         tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0

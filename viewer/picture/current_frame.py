@@ -12,7 +12,7 @@ import numpy as np
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
 from ..engine.messages import Failure, Frame
-from ..engine.sources.preview import Preview
+from ..engine.sources.opening import Preview
 from ..engine.sources.source import FrameSource
 from ..engine.store import Store, Want
 from .canvas import Canvas

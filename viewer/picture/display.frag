@@ -30,12 +30,9 @@
 #define RELATIVE 2
 #define EDGES 1
 #define RESIDUAL 2
-#define REGIONS 3
-#define DISOCCLUSIONS 4
-#define CLIPPING 5
+#define CLIPPING 3
 #define NEGATIVE vec3(0.1, 0.35, 1.0)  /* as CLIPPING of view.py has them */
 #define CLIPPED vec3(1.0, 0.15, 0.1)
-#define REST 5                   /* the last of the regions of errors: everything else */
 
 /* Edges, from where they begin to show to where they are full: second difference of inverse depth, relative (planes
    have none), and of motion, pixels; first difference of displayed brightness. */
@@ -62,7 +59,7 @@ struct Layer {
 };
 
 uniform Layer layer[2];
-uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color, regions;
+uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color;
 uniform sampler2DArray mask_a, mask_b;  /* invalid pixels of the input */
 uniform int mark_level;         /* a texel is the largest of 2^mark_level squared pixels, so that single ones are seen */
 uniform sampler2D color_maps;   /* a row each */
@@ -86,8 +83,6 @@ uniform mat3x4 to_previous;     /* view space of the rendered camera -> of the o
 uniform vec4 source_inverse;    /* 1/fx, 1/fy, cx, cy of the rendered camera */
 uniform vec4 previous_pinhole;  /* fx, fy, cx, cy of the one before */
 uniform float residual_scale;
-uniform bool has_regions;
-uniform int region;             /* that is seen alone; -1: all are, tinted */
 
 out vec4 pixel;
 
@@ -334,13 +329,6 @@ bool residual_motion(const vec2 uv, out vec2 residual) {
 vec3 overlaid(const vec3 picture, const vec2 uv) {
     vec2 rendered_uv = mix(rendered_area.xy, rendered_area.zw, uv);
     vec3 dimmed = vec3(0.35 * dot(picture, vec3(0.2126, 0.7152, 0.0722)));
-    if (OVERLAY == REGIONS || OVERLAY == DISOCCLUSIONS) {
-        if (!has_regions) return picture;
-        int here = int(255.0 * texelFetch(regions, ivec3(texel_at(uv, textureSize(regions, 0).xy), 0), 0).r + 0.5);
-        if (OVERLAY == DISOCCLUSIONS) return here > 1 ? picture : mix(picture, label_colors[here + 1], 0.7);
-        if (region < 0) return here == REST ? 1.4 * dimmed : mix(1.4 * dimmed, label_colors[here + 1], 0.6);
-        return here == region ? picture : 0.6 * dimmed;
-    }
     if (OVERLAY == CLIPPING) {
         if (VIEW_A != COLOR || !covers(0, uv)) return picture;
         vec3 c = load(0, uv_of(0, uv)).rgb * layer[0].gain;

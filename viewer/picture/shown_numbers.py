@@ -10,8 +10,8 @@ import numpy as np
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import to_display
-from . import differences, flip_map
 from .current_frame import Contents
+from .differences import FLIP_MAP, FLIP_SPEC, difference, error
 from .displays import Display, FrameInfo, shown_as
 from .view import View
 
@@ -131,10 +131,27 @@ def numbers_of(view: View, contents: Contents, flip: np.ndarray | None) -> list[
     def compared(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         values = first.compared(rows, columns), second.compared(*second.beside(first, rows, columns))
         if view.compare == "error":
-            return differences.error(kind, view.error == "squared", *values)
-        return differences.difference(kind, view.difference, *values)
+            return error(kind, view.error == "squared", *values)
+        return difference(kind, view.difference, *values)
 
     return [Numbers(first, compared)]
+
+
+def largest(view: View, contents: Contents, flip: np.ndarray | None) -> tuple[tuple[int, int], float] | None:
+    """Return the display pixel with the largest difference or error that a view shows, and that number; None where
+    there is none. Arguments as of `numbers_of`."""
+    if view.compare not in ("difference", "error") and view.a != FLIP_MAP:
+        return None
+    for shown in numbers_of(view, contents, flip):
+        height, width = shown.grid.image.shape[:2]
+        rows, columns = np.divmod(np.arange(height * width), width)
+        errors = np.nan_to_num(np.abs(shown.of(rows, columns)).max(-1), nan=-1.0)
+        at = int(errors.argmax())
+        if errors[at] > 0:
+            place = (columns[at] + 0.5) / width, (rows[at] + 0.5) / height
+            pixel = shown.grid.frame.pixel_of(shown.grid.spec, place)
+            return None if pixel is None else (pixel, float(errors[at]))
+    return None
 
 
 def texels(
@@ -142,8 +159,8 @@ def texels(
 ) -> Texels | None:
     """Return a layer as it is displayed; None if there is none."""
     spec, image = contents.spec(name), contents.image(name)
-    if name == flip_map.NAME:
-        spec, image = flip_map.SPEC, flip
+    if name == FLIP_MAP:
+        spec, image = FLIP_SPEC, flip
     if spec is None or image is None or display is None or not image.size:
         return None
     plane = image[min(display.plane, spec.planes - 1)] if spec.planes > 1 else image

@@ -4,11 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from .colors import Rgb
-from .displays import Display
+from .displays import Display, Rgb
 
 COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
-OVERLAYS = ("none", "edges", "residual motion", "regions", "disocclusions", "clipping")
+OVERLAYS = ("none", "edges", "residual motion", "clipping")
 CLIPPING: dict[str, Rgb] = {"below 0": (0.1, 0.35, 1.0), "above white": (1.0, 0.15, 0.1)}
 ERRORS = ("absolute", "squared")
 INVALID = INVALID_RENDERED, INVALID_SHOWN = "invalid rendered", "invalid shown"  # layers: masks of invalid pixels
@@ -29,9 +28,7 @@ class View:
     zoom : screen pixels per display pixel
     center : display pixel (x, y) in the middle of the canvas
     overlay : one of OVERLAYS, over whatever is compared; residual motion has full color at `residual_scale` pixels;
-        clipping marks
-        colors of a by CLIPPING, as they are exposed; of regions (the layer of that name) only number
-        `region` is bright, −1: each has a tint
+        clipping marks colors of a by CLIPPING, as they are exposed
     grid : lines between pixels when zoomed in
     line : width of the wipe's line, screen pixels
     mark_invalid : a pattern over pixels with NaN, infinity and what the input has invalid
@@ -52,7 +49,6 @@ class View:
     error: str = "absolute"
     error_high: float = 0.1
     residual_scale: float = 4.0
-    region: int = -1
     grid: bool = True
     line: float = 2.0
     mark_invalid: bool = True

@@ -1,4 +1,4 @@
-"""Actions of the user, defined once: menus, shortcuts, help and the command palette all come from `Actions`."""
+"""Actions of the user, defined once: menus, shortcuts, help, the command palette and scripts all use `Actions`."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import re
 import string
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Any
 
 MODIFIERS = ("Ctrl", "Alt", "Shift", "Super")  # in the order in which they are written
 _NAMED = {
@@ -80,10 +81,11 @@ def canonical(modifiers: frozenset[str], key: str) -> Shortcut:
 class Action:
     """Something that the user can do.
 
-    `id` names it in the program, `label` and `group` for people. `shortcut` is text ("Ctrl+O") or "", `also` holds
-    further ones. `enabled` gives the reason why it cannot run now, None if it can; `checked` the state of a switch,
-    None for no switch. `run` takes nothing, or with `hold`, whether the key went down (True) or up (False). `repeat`:
-    a key that is kept down runs it again and again. `anywhere`: its shortcut works over an open window, too.
+    `id` names it in the program and in scripts, `label` and `group` for people. `shortcut` is text ("Ctrl+O") or "",
+    `also` holds further ones. `run(app)` does it, or with `takes`, the form of an argument, `run(app, argument)`: only
+    scripts have arguments. `enabled(app)` gives the reason why it cannot run now, None if it can; `checked(app)` the
+    state of a switch, None for no switch. `release(app)`, if given, is called when its key goes up. `repeat`: a key
+    that is kept down runs it again and again. `anywhere`: its shortcut works over an open window, too.
     """
 
     id: str
@@ -91,13 +93,14 @@ class Action:
     group: str
     shortcut: str
     run: Callable[..., object]
-    enabled: Callable[[], str | None] = lambda: None
-    checked: Callable[[], bool | None] = lambda: None
+    enabled: Callable[[Any], str | None] = lambda app: None
+    checked: Callable[[Any], bool | None] = lambda app: None
     tooltip: str = ""
-    hold: bool = False
+    release: Callable[[Any], object] | None = None
     repeat: bool = False
     anywhere: bool = False
     also: tuple[str, ...] = ()
+    takes: str = ""
 
     @property
     def shortcuts(self) -> list[Shortcut]:
@@ -105,9 +108,10 @@ class Action:
 
 
 class Actions:
-    """All actions, in the order in which they were registered."""
+    """All actions `of` an application, in the order in which they were registered."""
 
-    def __init__(self):
+    def __init__(self, of: Any):
+        self._app = of
         self._actions: dict[str, Action] = {}
         self._by_shortcut: dict[Shortcut, Action] = {}
         self._held: dict[str, str | None] = {}  # action id → the key that holds it; None: switched on without a key
@@ -142,9 +146,9 @@ class Actions:
         return action
 
     def grouped(self) -> dict[str, list[Action]]:
-        """Return the actions by group, both in the order of registration."""
+        """Return the actions without an argument by group, both in the order of registration."""
         groups: dict[str, list[Action]] = {}
-        for action in self:
+        for action in (action for action in self if not action.takes):
             groups.setdefault(action.group, []).append(action)
         return groups
 
@@ -156,20 +160,28 @@ class Actions:
             for action in actions:
                 text = " or ".join(filter(None, (action.shortcut, *action.also)))
                 if text:
-                    rows.append((f"hold {text}" if action.hold else text, action.label))
+                    rows.append((f"hold {text}" if action.release else text, action.label))
             if rows:
                 table.append((group, rows))
         return table
 
-    def run(self, id: str) -> bool:
-        """Run an action from a menu or button. Returns False if it is disabled (`last_refusal` has the reason). A
-        click cannot be held, so it toggles a `hold` action."""
+    def why_not(self, id: str) -> str | None:
+        """Return the reason why an action cannot run now; None if it can."""
+        return self[id].enabled(self._app)
+
+    def checked(self, id: str) -> bool | None:
+        """Return the state of a switch; None for no switch."""
+        return self[id].checked(self._app)
+
+    def run(self, id: str, *argument: str) -> bool:
+        """Run an action from a menu, a button or a script. Returns False if it is disabled (`last_refusal` has the
+        reason). A click cannot be held, so it toggles an action that is released."""
         action = self[id]
         self.last_refusal = None
-        if action.hold and id in self._held:
+        if id in self._held:
             self._let_go(id)
             return True
-        return self._start(action, None)
+        return self._start(action, None, *argument)
 
     def dispatch(
         self, modifiers: frozenset[str], key: str, *, repeated: bool = False, covered: bool = False
@@ -187,7 +199,7 @@ class Actions:
         return action.id if self._start(action, key) else None
 
     def release(self, key: str) -> str | None:
-        """Handle a key release, with any modifiers: end its `hold` actions, and return the id of the last one."""
+        """Handle a key release, with any modifiers: end the actions that it holds; return the id of the last one."""
         plain, released = _UNSHIFTED.get(key, key), None
         for id, by in list(self._held.items()):
             if by is not None and _UNSHIFTED.get(by, by) == plain:
@@ -203,20 +215,19 @@ class Actions:
     def held(self, id: str) -> bool:
         return id in self._held
 
-    def _start(self, action: Action, key: str | None) -> bool:
-        self.last_refusal = action.enabled()
+    def _start(self, action: Action, key: str | None, *argument: str) -> bool:
+        self.last_refusal = action.enabled(self._app)
         if self.last_refusal is not None:
             return False
-        if action.hold:
+        if action.release is not None:
             self._held[action.id] = key
-            action.run(True)
-        else:
-            action.run()
+        action.run(self._app, *argument)
         return True
 
     def _let_go(self, id: str) -> None:
         del self._held[id]
-        self._actions[id].run(False)
+        if (release := self._actions[id].release) is not None:
+            release(self._app)
 
     def search(self, text: str) -> list[Action]:
         """Return the actions that match every word of `text`, those that can run first, best first; all for no text.
@@ -226,11 +237,11 @@ class Actions:
         """
         words = _words(text)
         found = []
-        for place, action in enumerate(self):
+        for place, action in enumerate(action for action in self if not action.takes):
             scores = [_score(word, action) for word in words]
             if all(scores):
                 length = len(action.label) if words else 0
-                found.append((action.enabled() is not None, -sum(scores), length, place, action))
+                found.append((action.enabled(self._app) is not None, -sum(scores), length, place, action))
         return [action for *_, action in sorted(found, key=lambda entry: entry[:-1])]
 
 

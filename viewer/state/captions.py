@@ -1,23 +1,99 @@
-"""Text over the picture: captions, and messages to the user."""
+"""Text over the picture: legends of colors, values in words, captions, and messages to the user."""
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, replace
+
+import numpy as np
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
-from ..engine.figures import REGIONS
-from ..picture import differences, disocclusions, flip_map
-from ..picture.colors import LABEL_COLORS, Rgb, color_table
+from ..picture import differences
 from ..picture.current_frame import Contents
-from ..picture.differences import Side
-from ..picture.display_settings import Looks
-from ..picture.displays import Display
-from ..picture.legend_strip import Entry
-from ..picture.legends import Legend, legend
+from ..picture.differences import FLIP_SPEC, Side
+from ..picture.displays import LABEL_COLORS, MASK_OFF, SKY, Display, Rgb, color_table, label_flip, shown_as, wheel_color
+from ..picture.looks import Looks
 from ..picture.view import CLIPPING, View
 from .comparing import Comparison
 from .playback import Playback
+
+
+@dataclass(frozen=True)
+class Legend:
+    """Content of a legend.
+
+    `kind` is "none", "ramp" (`ticks` from 0, low, to 1, high, along `color_table(display.color_map)`) or "wheel"
+    (`ticks` in turns, see `wheel_color`); each tick is (position, text, color). `labels` are (text, color) of single
+    values, "ramp" or not. `unit` says what the numbers are.
+    """
+
+    kind: str
+    ticks: tuple[tuple[float, str, Rgb], ...] = ()
+    labels: tuple[tuple[str, Rgb], ...] = ()
+    unit: str = ""
+
+
+_DIRECTIONS = ("right", "right, down", "down", "left, down", "left", "left, up", "up", "right, up")
+
+
+def legend(spec: LayerSpec, display: Display) -> Legend:
+    """Return the legend of the channel that is shown; a ramp has five ticks."""
+    view = shown_as(spec, display)[0]
+    if view == "color":
+        return Legend("none")
+    if view == "mask":
+        return Legend("none", labels=(("0", MASK_OFF), ("1", display.tint)))
+    if view == "label":
+        named = spec.labels or tuple((value, str(value)) for value in range(16))
+        return Legend(
+            "none", labels=tuple((text, LABEL_COLORS[value & 15 ^ label_flip(spec)]) for value, text in named)
+        )
+    if view in ("motion", "place"):
+        wheel = ((turn / 8, text, wheel_color(turn / 8, 1)) for turn, text in enumerate(_DIRECTIONS))
+        return Legend("wheel", tuple(wheel), unit=f"full color from {display.motion_scale:.3g} px")
+    colors, marks = color_table(display.color_map), []
+    for position in (0.0, 0.25, 0.5, 0.75, 1.0):
+        value = display.low + (display.high - display.low) * position
+        if view == "depth" and display.inverse and min(display.low, display.high) > 0:
+            value = 1 / (1 / display.low + (1 / display.high - 1 / display.low) * position)
+        marks.append((position, f"{value:.4g}", tuple(colors[round(position * 255)].tolist())))
+    special = (("sky", SKY),) if view == "depth" else ()
+    pixels = spec.view in ("motion", "place") and view == "scalar"
+    unit = "px" if pixels else "world units" if view in ("depth", "world") or spec.view == "world" else ""
+    return Legend("ramp", tuple(marks), special, unit)
+
+
+def value_text(spec: LayerSpec, values) -> str:
+    """Return one line for the value (channels,) of one pixel of `spec`."""
+    values = [float(value) for value in np.ravel(values)]
+    if spec.view == "color":
+        return "  ".join(f"{n} {_text(v)}" for n, v in zip(spec.components, values, strict=False) if n != "A")
+    first, labels = values[0], dict[float, str](spec.labels)
+    if spec.bits:
+        return f"{first:g}: {', '.join(name for bit, name in enumerate(spec.bits) if int(first) >> bit & 1) or 'none'}"
+    if spec.view == "label":
+        return f"{first:g}: {labels[first]}" if first in labels else f"{first:g}"
+    if spec.view == "mask":
+        return "yes" if first else "no"
+    if spec.view == "depth":
+        return (
+            "sky" if first == math.inf else f"{_text(first)} world units" if first > 0 else f"no depth ({_text(first)})"
+        )
+    if spec.view == "motion":
+        return f"({first:+.2f}, {values[1]:+.2f}) px, {math.hypot(*values[:2]):.2f} px long"
+    if spec.view == "place":
+        if not (values[2] > 0 if len(values) > 2 else any(values)):
+            return "nothing"
+        depth = f", depth {'sky' if values[2] == math.inf else _text(values[2])}" if len(values) > 2 else ""
+        return f"({first:.2f}, {values[1]:.2f}) px{depth}"
+    if spec.view == "world":
+        return f"({', '.join(map(_text, values[:3]))}) world units" if values[3:] != [0.0] else "not known"
+    return "  ".join(map(_text, values))
+
+
+def _text(value: float) -> str:
+    return "NaN" if math.isnan(value) else f"{value:.4g}"
 
 
 @dataclass
@@ -47,58 +123,22 @@ def layer_text(spec: LayerSpec, display: Display) -> str:
     return f"{spec.group}: {spec.label}" + (f"   {display.exposure:+.1f} EV" if exposed else "")
 
 
-def headings(
-    view: View, contents: Contents, looks: Looks, frame: str, settings: tuple[str, str], marked: str
-) -> list[Entry]:
-    """Return what a picture shows: the `frame`, the layers and `settings` of A and B, and the `marked` pixels."""
-    shown = list(zip("AB", (view.a, view.b if view.compare != "off" else None), settings, strict=True))
-    shown = [(side, name, of) for side, name, of in shown if name]
-    texts = [f"{contents.source.name}   {frame}"]
-    for side, name, of in shown:
-        spec = contents.spec(name)
-        text = names.plain(name) if spec is None else layer_text(spec, looks.of(name))
-        text = text if name == names.TRUTH else f"{text}   {of}"
-        texts.append(f"{side}  {text}" if len(shown) > 1 else text)
-    if marked:
-        texts.append(f"{marked}, checkered")
-    return [Entry(text, Legend("none")) for text in texts]
+@dataclass(frozen=True)
+class Entry:
+    """One legend: its `title`, and of a ramp the name of its color map."""
+
+    title: str
+    legend: Legend
+    color_map: str = ""
 
 
-REST: Rgb = (0.35, 0.35, 0.35)  # of the region that has no tint
 _EDGES = (("depth", (1.0, 0.0, 0.0)), ("motion", (0.0, 1.0, 0.0)), ("color", (0.0, 0.0, 1.0)))
 _MOTION = LayerSpec("residual motion", "Residual motion", "overlay", "motion", ("x", "y"))
 
 
-def region_colors() -> dict[str, Rgb]:
-    """Return colors by region, as the overlay tints them."""
-    colors = [*LABEL_COLORS[1 : len(REGIONS)], REST]
-    return dict(zip(REGIONS, colors, strict=True))
-
-
-def disocclusion_colors() -> tuple[tuple[str, Rgb], ...]:
-    """Return the kinds of disocclusions with their colors, as the overlay tints them."""
-    return tuple(zip(disocclusions.KINDS, LABEL_COLORS[1:], strict=False))
-
-
 def entries_of(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
-    """Return legends of the displayed layers; none for colors alone. An overlay that tints them is named beside their
-    units, as its colors are not the bars'."""
-    tinted = _tinted(view)
-    shown = [
-        replace(entry, legend=replace(entry.legend, unit=", ".join(filter(None, (entry.legend.unit, tinted)))))
-        if tinted and entry.legend.kind != "none" else entry
-        for entry in _shown(view, contents, looks, comparison)
-    ]  # fmt: skip
-    return [*shown, *_overlay(view)]
-
-
-def _tinted(view: View) -> str:
-    """Return how an overlay changes the colors of the layer under it; empty if it does not."""
-    if view.overlay == disocclusions.OVERLAY:
-        return "tinted in disocclusions"
-    if view.overlay != "regions":
-        return ""
-    return "tinted by regions" if view.region < 0 else "dimmed outside the region"
+    """Return legends of the displayed layers; none for colors alone."""
+    return [*_shown(view, contents, looks, comparison), *_overlay(view)]
 
 
 def _shown(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
@@ -108,7 +148,7 @@ def _shown(view: View, contents: Contents, looks: Looks, comparison: Comparison)
         return [Entry(comparison.scale_text(), Legend("none"))]
     if view.compare in ("error", "flip error"):
         display = comparison.error_display
-        shown = replace(legend(flip_map.SPEC, display), unit=_error_unit(view, contents, looks))
+        shown = replace(legend(FLIP_SPEC, display), unit=_error_unit(view, contents, looks))
         return [Entry(comparison.scale_text(), shown, display.color_map)]
     if view.compare == "difference":
         return _difference(view, contents, looks, comparison)
@@ -149,7 +189,7 @@ def _difference(view: View, contents: Contents, looks: Looks, comparison: Compar
     if how == "absolute" and kind == differences.COLOR:
         color_map = "gray"
     display = Display(low=-high if color_map == "diverging" else 0.0, high=high, color_map=color_map)
-    return [Entry(title, replace(legend(flip_map.SPEC, display), unit=unit), color_map)]
+    return [Entry(title, replace(legend(FLIP_SPEC, display), unit=unit), color_map)]
 
 
 def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "") -> list[Entry]:
@@ -164,13 +204,6 @@ def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "")
 
 
 def _overlay(view: View) -> list[Entry]:
-    if view.overlay == "regions":
-        colors = region_colors()
-        if view.region >= 0:
-            return [Entry(f"bright: {list(REGIONS)[view.region]}", Legend("none"))]
-        return [Entry("regions of errors", Legend("none", labels=tuple(colors.items())))]
-    if view.overlay == disocclusions.OVERLAY:
-        return [Entry("disocclusions", Legend("none", labels=disocclusion_colors()))]
     if view.overlay == "clipping":
         return [Entry("clipping", Legend("none", labels=tuple(CLIPPING.items())))]
     if view.overlay == "edges":
@@ -198,8 +231,3 @@ class Captions:
     def legends(self) -> list[Entry]:
         """Return the legends of the picture."""
         return entries_of(self._view, self._contents, self._looks, self._comparison)
-
-    def under_picture(self, settings: tuple[str, str], marked: str) -> list[Entry]:
-        """Return what is written under a saved picture; `settings` of A and B, and the `marked` pixels."""
-        shown = headings(self._view, self._contents, self._looks, self.frame, settings, marked)
-        return [*shown, *self.legends()]

@@ -1,22 +1,26 @@
-"""Comparing A with B, and the scores of both against ground truth."""
+"""Comparing A with B: layers and settings, and the scores of both against ground truth."""
 
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import METRICS
 from ..engine.background import Derived
-from ..picture import flip_map
+from ..engine.engine import Engine
 from ..picture.current_frame import Contents
-from ..picture.differences import DIFFERENCES
-from ..picture.display_settings import Looks
+from ..picture.differences import DIFFERENCES, FLIP_MAP, FLIP_SPEC, flip_map
 from ..picture.displays import Display
+from ..picture.looks import Looks
 from ..picture.view import ERRORS, View
+from .parameters import Parameters
 from .presets import Kept, KeptSettings
 
 FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one"}
@@ -92,11 +96,6 @@ class Comparison:
         """Compare with another layer."""
         self._by_settings, self._view.b = False, name
 
-    def without_settings(self) -> None:
-        """Compare with no kept settings any more."""
-        self._by_settings = False
-        self.follow()
-
     def follow(self) -> None:
         """Make B's layer that of A where settings are compared. Where they no longer are, B is given up."""
         view = self._view
@@ -150,7 +149,7 @@ class Comparison:
         elif self.flipped and view.b and view.b_display:
             view.a, view.a_display, view.compare = view.b, view.b_display, "off"
         elif view.compare == "flip error":
-            view.a, view.a_display, view.compare = flip_map.NAME, self.error_display, "off"
+            view.a, view.a_display, view.compare = FLIP_MAP, self.error_display, "off"
         return view
 
     @property
@@ -203,7 +202,7 @@ class Comparison:
             self._maps.forget()
             self.flip_map = None
             if canvas is not None:
-                canvas.forget([flip_map.NAME])
+                canvas.forget([FLIP_MAP])
         if a is None or b is None:
             return None
         if a.shape != b.shape:
@@ -211,14 +210,14 @@ class Comparison:
             return "FLIP compares images of one size"
         key = contents.changes, view.a, view.b
         try:
-            made = self._maps.get(key, flip_map.flip_map, a, b, contents.source.exposure)
+            made = self._maps.get(key, flip_map, a, b, contents.source.exposure)
         except Exception as error:  # whatever a binary package throws
             view.compare = "off"
             return f"FLIP failed: {error}"
         if made is not None and made is not self.flip_map:
             self.flip_map = made
             if canvas is not None:
-                canvas.upload(flip_map.NAME, made, flip_map.SPEC)
+                canvas.upload(FLIP_MAP, made, FLIP_SPEC)
         return None
 
     def drop_missing(self) -> None:
@@ -255,3 +254,53 @@ class Comparison:
     def _usual_b(self) -> str:
         usual = names.TRUTH if self._contents.why_not(names.TRUTH) is None else names.RENDERED_COLOR
         return usual if self._view.a != usual else names.FINAL
+
+
+class Sides:
+    """Makes B of A's settings, or of what is stored, and A of B. `say` takes messages."""
+
+    def __init__(
+        self,
+        engine: Engine,
+        parameters: Parameters,
+        kept: KeptSettings,
+        comparison: Comparison,
+        say: Callable[..., None],
+    ):
+        self._engine, self._parameters, self._kept = engine, parameters, kept
+        self._comparison, self._say = comparison, say
+
+    def keep(self) -> None:
+        """Keep A's settings as B."""
+        setup = self._parameters.setup
+        kept = self._kept.keep(setup, self._engine.recipe(setup).kernels)
+        self._comparison.with_settings(kept.name)
+        self._say(f"kept as B: {kept.name}. W wipes between A and B, D shows their difference")
+
+    def take_b_from(self, place: str) -> None:
+        """Compare as `load_b` does. Errors give a message."""
+        try:
+            self.load_b(place)
+        except GffeError as error:
+            self._say(str(error), error=True)
+
+    def load_b(self, place: str) -> None:
+        """Compare with what is stored at `place`: kernels, with A's settings, or the pictures of a sequence. Raises
+        GffeError."""
+        path, setup = Path(place).expanduser().absolute(), self._parameters.setup
+        if not path.exists():
+            raise GffeError(f"{path}: no such file or folder")
+        try:
+            kernels = self._engine.take_kernels(path) if next(path.glob("*.cl"), None) is not None else ""
+        except OSError as error:
+            raise GffeError(f"{path}: {error.strerror or error}") from None
+        kept = self._kept.keep(setup, kernels, path) if kernels else self._kept.keep_stored(str(path), setup.options)
+        self._comparison.with_settings(kept.name)
+        self._comparison.show()
+
+    def take_second(self) -> None:
+        """Go on with B's settings as A."""
+        kept = self._kept.b
+        assert kept is not None  # there is a B
+        self._parameters.take(kept.options, kept.window)
+        self._say(f"A has B's settings now: {kept.name}" + (", with the newest kernels" if kept.kernels else ""))

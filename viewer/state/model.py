@@ -13,35 +13,26 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.options import Options
 from ..engine.doctor_worker import Doctor
-from ..engine.figures import Figures, Measurements
+from ..engine.figures import Figures, Measurements, Timings
 from ..engine.messages import Failure, Key, Recipe, Setup
 from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Want
 from ..picture.current_frame import Picture, Screen, Showing
-from ..picture.disocclusions import Disocclusions
-from ..picture.display_settings import Looks
 from ..picture.displays import Display
-from ..picture.histogram import Histogram
 from ..picture.invalid import InvalidPixels
-from ..picture.legend_strip import Entry
-from ..picture.regions import Regions
-from ..picture.selection import Selection
+from ..picture.looks import Histogram, Looks
+from ..picture.shown_numbers import largest
 from ..picture.view import View
-from ..picture.worst_pixels import WorstPixels
 from .captions import Captions
-from .comparing import BUILD_LETTERS, Comparison
-from .navigation import Flights, Walk
+from .comparing import BUILD_LETTERS, Comparison, Sides
+from .navigation import Flights, Framing, Pointing, Walk
 from .opening import Opening
-from .presets import Kept, KeptSettings, told
+from .presets import Kept, KeptSettings
 from .saving import Saving, Subject
 from .settings import Settings
-from .sides import Sides
 from .studies import Here, Studies
 from .survey import Side, Survey
-from .timings import Timings
-from .undo import Undo
-from .viewport import Framing, Pointing
 from .wanting import Ahead, Needed
 
 _SCENES = ScenePlan(480, 270, 0)
@@ -64,15 +55,12 @@ class Model(Opening):
         if start:  # else there is no device, and nothing can be opened
             self.engine.start()
         self.ahead = Ahead(self.store, self.playback)
-        self.undo = Undo(self.parameters, self.playback)
         self.view = View(names.FINAL, Display())
         self.framing = Framing(self.view)
         self.looks = Looks(self.contents, settings.displays)
         self.screen = Screen(self.contents)
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
-        self.regions = Regions(self.view, self.contents)
-        self.disocclusions = Disocclusions(self.view, self.contents)
         self.histogram = Histogram(self.view, self.contents, self.looks)
         self.invalid = InvalidPixels(self.view, self.contents)
         self.showing = Showing(self.store, self.contents, self._fail)
@@ -81,14 +69,12 @@ class Model(Opening):
         self.studies = Studies(self.store, self.measured.background)
         self.pointing = Pointing(self.store, self.contents)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
-        self.selection = Selection(self.contents)
-        self.worst = WorstPixels(self.view, self.contents, self.looks)
-        self.sides = Sides(self.engine, self.parameters, self.kept, self.comparison, self.survey, self.say)
+        self.sides = Sides(self.engine, self.parameters, self.kept, self.comparison, self.say)
         self.captions = Captions(self.contents, self.view, self.looks, self.comparison, self.playback)
         shown, settled = self.comparison.shown, lambda: self.settled
-        subject = Subject(self.contents, self.playback, self.view, shown, self._legends, settled)
+        subject = Subject(self.contents, self.playback, self.view, shown, settled)
         self.saving = Saving(subject, self.say)
-        self.needed = Needed(self.view, self.contents, self.regions, self.disocclusions, self.selection, self.worst)
+        self.needed = Needed(self.view, self.contents)
         self.flights = Flights(self.contents, self.playback)
         self.overview = False
         self.arrows = False
@@ -110,10 +96,7 @@ class Model(Opening):
         self.contents.open(source)
         self.parameters.open(source)
         self.notice, self.reload_fault, self._target = "", "", source.target
-        for part in (
-            self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk, self.selection,
-            self.disocclusions,
-        ):  # fmt: skip
+        for part in (self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk):
             part.forget()
         self.saving.cancel()
         self.playback.open(source.count, source.fps, self.times(source.count), keep=self.keep_place)
@@ -128,8 +111,6 @@ class Model(Opening):
             self.timings = Timings()
         self.comparison.drop_missing()
         self.framing.due = not self.keep_place
-        if not self.keep_place:
-            self.undo.forget()
         self.keep_place = False
         if source.target and not source.live:
             self.settings.add_recent(Path(self._target).expanduser())
@@ -143,7 +124,6 @@ class Model(Opening):
         if self.previewer is not None and (preview := self.previewer.take()) is not None:
             self.preview = preview
             self.screen.preview(preview)
-        self.undo.update(now)
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -251,17 +231,9 @@ class Model(Opening):
 
     def _derive(self, canvas) -> None:
         """Find what follows from the images that are shown."""
-        self.disocclusions.update(canvas)
         self.invalid.update(canvas, self.playback.playing)
-        faults = self.comparison.update(canvas), self.regions.update(canvas), self.selection.update()
-        for fault in filter(None, faults):
+        if fault := self.comparison.update(canvas):
             self.say(fault, error=True)
-        found, reason = self.worst.update()
-        if found is not None:
-            self.walk.go_to_pixel(found.pixel)
-            self.say(found.text)
-        elif reason:
-            self.say(reason)
 
     def _shown(self) -> None:
         """Note what follows from another picture that is shown."""
@@ -313,6 +285,15 @@ class Model(Opening):
         if slot is not None:
             self.playback.seek(slot)
         self.say(text)
+
+    def go_to_largest(self) -> None:
+        """Look at the pixel with the largest difference or error that is shown, and show a message about it."""
+        found = largest(self.comparison.shown(), self.contents, self.comparison.flip_map)
+        if found is None:
+            self.say("A and B are equal here")
+            return
+        self.walk.go_to_pixel(found[0])
+        self.say(f"largest: {found[1]:.4g} at ({found[0][0]}, {found[0][1]})")
 
     @property
     def inspects(self) -> bool:
@@ -387,6 +368,12 @@ class Model(Opening):
         return self.engine.busy or waits
 
     @property
+    def at_work(self) -> bool:
+        """Whether something is shown that moves, made or measured."""
+        beside = self.survey.busy or self.studies.busy or not self.comparison.ready
+        return self.playback.playing or self.flying or self.busy or beside
+
+    @property
     def settled(self) -> bool:
         """Whether the displayed frame is the requested one."""
         result = self.contents.result
@@ -398,9 +385,6 @@ class Model(Opening):
             and not self.engine.busy
             and (not self.pointing.story_is_due or not self.inspects)
             and self.comparison.ready
-            and self.regions.ready
-            and self.selection.ready
-            and not self.worst.due
             and self.screen.ready
         )
 
@@ -453,14 +437,6 @@ class Model(Opening):
 
     # ---- telling -------------------------------------------------------------------------------------------
 
-    def _legends(self) -> list[Entry]:
-        """Return what is written under a saved picture."""
-        if not self.settings.legends:
-            return []
-        settings, kept = told(self.setup), self.kept.b if self.comparison.by_settings else None
-        marked = self.invalid.text() if self.view.mark_invalid else ""
-        return self.captions.under_picture((settings, settings if kept is None else kept.name), marked)
-
     def examine(self) -> None:
         """Have the doctor look at the sequence."""
         self.doctor = Doctor(self.source.sequence)
@@ -489,10 +465,7 @@ class Model(Opening):
             return
         self._closed = True
         self.saving.close()
-        for part in (
-            self.comparison, self.regions, self.invalid, self.histogram, self.worst, self.selection, self.measured,
-            self.engine,
-        ):  # fmt: skip
+        for part in (self.comparison, self.invalid, self.histogram, self.measured, self.engine):
             part.close()
 
     @property

@@ -7,8 +7,7 @@ from typing import Any
 
 from gffe_cl.engine.options import Options
 from ..engine.engine import Engine, open_viewer_device
-from ..engine.sources.opening import ScenePlan, make_source
-from ..engine.sources.preview import Preview, Previewer, preview_of
+from ..engine.sources.opening import Preview, Previewer, ScenePlan, make_source, preview_of
 from ..engine.store import Store
 from ..picture.current_frame import Contents
 from .captions import Message

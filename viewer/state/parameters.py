@@ -10,8 +10,7 @@ from gffe_cl.engine.inference import network
 from gffe_cl.engine.options import OPTIONS, PRESETS, Option, Options
 from ..engine.messages import Setup
 from ..engine.sources.source import FrameSource
-from .playback import Playback
-from .schedule import MOST_GENERATED
+from .playback import MOST_GENERATED, Playback
 
 ALWAYS = {"shading_inputs": True}  # they are layers to look at
 CORRECTION, UPSCALING = "shading_correction", "upscale"

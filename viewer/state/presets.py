@@ -11,7 +11,7 @@ from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.options import OPTIONS, Options, command_words
 from ..engine.messages import Setup
 from ..engine.slot_maker import weights_of
-from ..engine.sources.preview import place_of
+from ..engine.sources.opening import place_of
 from ..engine.sources.source import FrameSource
 
 _MOST = 12

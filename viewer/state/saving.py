@@ -1,28 +1,130 @@
-"""Saving: pictures, layers, videos and figures, in the background."""
+"""Saving: pictures and layers, in the background; files are written whole or not at all."""
 
 from __future__ import annotations
 
 import contextlib
-import queue
-import threading
-from collections.abc import Callable, Iterator
-from concurrent.futures import Future, wait
-from dataclasses import dataclass, replace
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator, Mapping
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from gffe_cl.captures.offline.run import _dump_channels
+from gffe_cl.captures.sequence.exr import write_channels
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import replacing
+
+if TYPE_CHECKING:
+    from gffe_cl.engine.inspection.layers import LayerSpec
+from concurrent.futures import Future, wait
+from dataclasses import dataclass, replace
+
 from ..engine.background import Background
 from ..picture.canvas import read
 from ..picture.current_frame import Contents
-from ..picture.files import export_video, save_json, save_layers_exr, save_png, unused_name
-from ..picture.legend_strip import Entry, with_legends
 from ..picture.view import View
 from .playback import Playback
 
-_WAITING = 2  # frames between the interface and the encoder
+_LONGEST_STEM = 120  # characters; file names end at 255 bytes
+
+
+def unused_name(folder: Path, stem: str, suffix: str) -> Path:
+    """Return a path in `folder` that nothing has yet: `stem`, else `stem_2`, `stem_3` …, then `suffix` (".png").
+    Characters that file names should not have become "_"."""
+    stem = re.sub(r"[^\w.@+=-]+", "_", stem).lstrip(".")[:_LONGEST_STEM] or "image"
+    number, path = 1, Path(folder) / f"{stem}{suffix}"
+    while os.path.lexists(path):
+        number += 1
+        path = Path(folder) / f"{stem}_{number}{suffix}"
+    return path
+
+
+def save_png(path: Path, rgba: np.ndarray) -> None:
+    """Write (H, W, 3 or 4) uint8 display values. Raises GffeError, leaving nothing new."""
+    from PIL import Image
+
+    path = _not_a_folder(path)
+    _require_image(path, rgba, (3, 4))
+    with _faults(path, "the image"), replacing(path) as part:
+        Image.fromarray(np.ascontiguousarray(rgba)).save(part, "PNG")
+
+
+def save_layers_exr(
+    folder: Path,
+    images: Mapping[str, np.ndarray],
+    specs: Mapping[str, LayerSpec],
+    cancelled: Callable[[], bool] = lambda: False,
+    on_layer: Callable[[], None] = lambda: None,
+) -> list[Path]:
+    """Write each layer to `folder`/<layer>.exr, its channels named after its components ("Y" for a single one, "1.x" …
+    for planes), float16 or float32. Returns the paths, none if `cancelled`, called before each layer, returned true.
+    `on_layer` is called after each.
+
+    `folder` is made if only it is missing. Then, and when GffeError is raised, no file has been added or changed.
+    """
+    folder = Path(folder)
+    if not images:
+        raise GffeError(f"{folder}: there are no layers to save")
+    with _faults(folder, "the layers"):
+        made = not folder.is_dir()
+        if made:
+            folder.mkdir()
+        written = []
+        try:
+            written = _write_all(folder, images, specs, cancelled, on_layer)
+        finally:
+            if made and not written:
+                shutil.rmtree(folder, ignore_errors=True)
+        return written
+
+
+def _write_all(folder: Path, images, specs, cancelled, on_layer) -> list[Path]:
+    """Write all layers, and return their paths, none if cancelled. All are whole in a folder of their own before the
+    first one gets its name."""
+    with tempfile.TemporaryDirectory(prefix=".layers.", dir=folder, ignore_cleanup_errors=True) as staging:
+        for name, image in images.items():
+            if cancelled():
+                return []
+            write_channels(Path(staging) / f"{name}.exr", _channels(specs[name], np.asarray(image)))
+            on_layer()
+        for name in images:
+            os.replace(Path(staging) / f"{name}.exr", folder / f"{name}.exr")
+    return [folder / f"{name}.exr" for name in images]
+
+
+def _channels(spec: LayerSpec, image: np.ndarray) -> dict[str, np.ndarray]:
+    """Return the channels of an image (planes?, H, W, components?) by name, each a contiguous (H, W)."""
+    if len(spec.components) == 1 and image.ndim == 2 + (spec.planes > 1):
+        image = image[..., None]
+    return {name: np.ascontiguousarray(plane) for name, plane in _dump_channels(spec, image).items()}
+
+
+def _not_a_folder(path: Path) -> Path:
+    if Path(path).is_dir():
+        raise GffeError(f"{path}: is a folder")
+    return Path(path)
+
+
+@contextlib.contextmanager
+def _faults(path: Path, what: str) -> Iterator[None]:
+    """Raise GffeError in place of OSError, in one line that names `path`."""
+    try:
+        yield
+    except OSError as error:
+        raise GffeError(f"{path}: cannot write {what}: {error.strerror or error}") from None
+
+
+def _require_image(path: Path, image: np.ndarray, channels: tuple[int, ...]) -> None:
+    shape = getattr(image, "shape", ())
+    if len(shape) != 3 or shape[2] not in channels or 0 in shape or image.dtype != np.uint8:
+        wanted = " or ".join(map(str, channels))
+        raise GffeError(f"{path}: expected (H, W, {wanted}) uint8, got {shape} {getattr(image, 'dtype', type(image))}")
+
+
 _PATIENCE = 5.0  # seconds for writing to end after it was cancelled
 
 
@@ -35,7 +137,6 @@ class Subject:
     playback: Playback
     view: View
     shown: Callable[[], View]
-    legends: Callable[[], list[Entry]]
     settled: Callable[[], bool]
     folder: Path | None = None
 
@@ -107,16 +208,15 @@ class Work:
 
 
 class PictureWork(Work):
-    """Saving of the view as it is compared and displayed, one display pixel to a pixel, as PNG, with legends under
-    it."""
+    """Saving of the view as it is compared and displayed, one display pixel to a pixel, as PNG."""
 
     def __init__(self, subject: Subject):
         super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
 
     def _proceed(self, canvas):
         if self._writing is None:
-            pixels, legends, self.done = self.subject.picture(canvas), self.subject.legends(), 1
-            self._start(lambda: self._write(with_legends(pixels, legends)))
+            pixels, self.done = self.subject.picture(canvas), 1
+            self._start(lambda: self._write(pixels))
 
     def _write(self, pixels: np.ndarray) -> str:
         save_png(self.path, pixels)
@@ -152,67 +252,6 @@ class LayersWork(Work):
     def _write(self, result) -> str:
         saved = save_layers_exr(self.path, result.images, result.specs, lambda: self._cancelled, self._count)
         return f"saved {len(saved)} layers in {self.path}" if saved else "saving the layers was cancelled"
-
-
-class FiguresWork(Work):
-    """Writing of figures, plain JSON, as a baseline."""
-
-    def __init__(self, subject: Subject, document: dict[str, Any]):
-        super().__init__(subject, subject.unused("baseline", ".json"), 1)
-        self._start(lambda: self._write(document))
-
-    def _write(self, document: dict[str, Any]) -> str:
-        save_json(self.path, document)
-        return f"saved the figures of {len(document['frames'])} frames in {self.path}"
-
-    def _proceed(self, canvas):
-        """Do nothing: all is done on the thread."""
-
-
-class VideoWork(Work):
-    """Saving of every slot between the in and the out point as MP4; then back to the slot from which it was started."""
-
-    def __init__(self, subject: Subject):
-        playback = subject.playback
-        playback.pause()
-        self._slots = list(range(playback.first, playback.last + 1))
-        self._back = playback.slot
-        self._frames: queue.Queue = queue.Queue(_WAITING)
-        self._cancelled = threading.Event()
-        super().__init__(subject, subject.unused(subject.view.a, ".mp4"), len(self._slots))
-        rate = playback.fps * (playback.n + 1)
-        self._start(lambda: self._write(rate))
-
-    def _write(self, rate: float) -> str:
-        written = export_video(self.path, self._given(), rate, self._cancelled.is_set)
-        return f"saved {self.path}" if written else "the video was cancelled"
-
-    def _proceed(self, canvas):
-        if self._frames.full() or self._cancelled.is_set():
-            return
-        if self.done == self.total:
-            self._put(None)
-            return
-        slot, playback = self._slots[self.done], self.subject.playback
-        if playback.slot != slot:
-            playback.seek(slot)
-        elif self.subject.settled() and self.subject.slot == slot:
-            self._put(np.ascontiguousarray(self.subject.picture(canvas)[..., :3]))
-            self.done += 1
-            if self.done == self.total:
-                playback.seek(self._back)
-
-    def _given(self) -> Iterator[np.ndarray]:
-        while (frame := self._frames.get()) is not None:
-            yield frame
-
-    def _put(self, frame) -> None:
-        with contextlib.suppress(queue.Full):  # then the encoder is not waiting
-            self._frames.put_nowait(frame)
-
-    def cancel(self):
-        self._cancelled.set()
-        self._put(None)
 
 
 class Saving:

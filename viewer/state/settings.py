@@ -53,9 +53,9 @@ class Settings:
     """Remembered choices; every field is plain JSON.
 
     `recent`: paths, newest first. `ui_scale`: 0 = automatic. `window_size`: (width, height) pixels. `displays`: how
-    each layer is shown, by its name. `kept`: settings under a name. `legends`: whether saved pictures have some.
-    `panels`: which are open. `layout`: version of the arrangement of panels; another one starts from the default
-    arrangement. `unknown`: what a newer version wrote, kept as it is.
+    each layer is shown, by its name. `kept`: settings under a name. `panels`: which are open. `layout`: version of the
+    arrangement of panels; another one starts from the default arrangement. `unknown`: what a newer version wrote, kept
+    as it is.
     """
 
     recent: list[str] = field(default_factory=list)
@@ -67,7 +67,6 @@ class Settings:
     options: dict = field(default_factory=dict)
     compare: dict = field(default_factory=dict)
     kept: list[dict] = field(default_factory=list)
-    legends: bool = True
     panels: dict[str, bool] = field(default_factory=dict)
     layout: int = LAYOUT
     unknown: dict[str, Any] = field(default_factory=dict)
@@ -169,7 +168,6 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "options": _dict_of(object),
     "compare": _dict_of(object),
     "kept": lambda value: [v for v in value if isinstance(v, dict)] if isinstance(value, list) else None,
-    "legends": lambda value: value if isinstance(value, bool) else None,
     "panels": _dict_of(bool),
     "layout": lambda value: value if type(value) is int and value >= 0 else None,
 }

@@ -19,7 +19,7 @@ from gffe_cl.engine.inspection.layers import FRAME_GROUP, LayerSpec
 from gffe_cl.engine.options import OPTIONS
 from gffe_cl.lab.metrics import METRICS, squared_error
 from ..engine.background import Background
-from ..engine.figures import NEEDED, displayed, parts_of, region_labels
+from ..engine.figures import NEEDED_BY_REGION, displayed, psnr_by_region, region_labels
 from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
 from ..picture.displays import FrameInfo
@@ -324,7 +324,7 @@ class Ablation(Study):
         return None
 
     def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
-        whole = Want(Key(here.a.recipe, here.slot), NEEDED, keep=False)
+        whole = Want(Key(here.a.recipe, here.slot), NEEDED_BY_REGION, keep=False)
         return {
             name: (whole, replace(whole, key=Key(here.recipe(without(here.a.setup, name)), here.slot)))
             for name in modules_of(here.a.setup)
@@ -336,7 +336,7 @@ class Ablation(Study):
         errors = [squared_error(*displayed(frame, here.exposure)) for frame in (whole, part)]
         if errors[0].shape != errors[1].shape:
             return {}
-        levels = [{region: part.psnr for region, part in parts_of(labels, error).items()} for error in errors]
+        levels = [psnr_by_region(labels, error) for error in errors]
         for level, error in zip(levels, errors, strict=True):
             level[ALL] = METRICS["psnr"].of_mean(float(error.mean()))
         return {region: levels[0][region] - levels[1][region] for region in levels[0]}

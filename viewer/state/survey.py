@@ -4,15 +4,13 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass, replace
-from typing import Any
+from dataclasses import dataclass
 
 import numpy as np
 
-from ..engine.figures import NEEDED, QUANTITIES, REGIONS, Figures, Measurements, Part
+from ..engine.figures import NEEDED, QUANTITIES, Figures, Measurements
 from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
-from .baseline import Baseline, document_of
 from .playback import Playback
 
 NO_B = "B is a layer. K keeps settings as B"
@@ -22,11 +20,10 @@ _HISTORY = 2  # rendered frames before the one that a slot is made of
 
 @dataclass(frozen=True)
 class Side:
-    """A or B: its setup, and the recipe by which its figures are known; `stored`: those of a baseline, instead."""
+    """A or B: its setup, and the recipe by which its figures are known."""
 
     setup: Setup
     recipe: Recipe
-    stored: Mapping[int, Figures] | None = None
 
 
 class Survey:
@@ -39,9 +36,7 @@ class Survey:
     quantity : str
         The one of `QUANTITIES` that is plotted, and by which frames are found.
     a, b : Side or None
-        What is surveyed; B where settings are compared, or figures with a baseline.
-    baseline : Baseline or None
-        B where no settings are compared.
+        What is surveyed; B where settings are compared.
     resets : sequence of int
         Rendered frames that have none before them, in order. Slots without two rendered frames of history are plotted,
         but neither found nor counted in means, as `gffe compare` has it.
@@ -53,8 +48,6 @@ class Survey:
         self.a: Side | None = None
         self.b: Side | None = None
         self.resets: Sequence[int] = ()
-        self.baseline: Baseline | None = None
-        self._stored: tuple[tuple, dict[int, Figures]] = (), {}  # of the baseline, and what they depend on
         self._wants: list[Want] = []
         self._found: tuple[str, list[int], int] | None = None  # how, the slots in order, and the one gone to
 
@@ -63,7 +56,7 @@ class Survey:
     def update(self, a: Side, b: Side | None, exposure: float, may_run: bool) -> list[Want]:
         """Have the slots measured that are there, and return those that are missing. Call once per frame of the
         interface; `may_run`: whether there is nothing else to do."""
-        self.a, self.b = a, b or self._of_baseline(a)
+        self.a, self.b = a, b
         for want in self._wants:
             made = self._store.get(want)
             if isinstance(made, Frame):
@@ -75,20 +68,7 @@ class Survey:
 
     def forget(self) -> None:
         """Drop everything after a change of the source."""
-        self._wants, self._found, self.baseline = [], None, None
-
-    def _of_baseline(self, a: Side) -> Side | None:
-        """Return the baseline as B, which is not measured."""
-        if self.baseline is None:
-            return None
-        depends_on = self.baseline, self._playback.n, self._playback.slots
-        if self._stored[0] != depends_on:
-            self._stored = depends_on, self.baseline.by_slot(self._playback)
-        return replace(a, stored=self._stored[1])
-
-    def document(self) -> dict[str, Any]:
-        """Return A's figures as plain JSON, to be a baseline."""
-        return document_of(self.figures(self.a), self._of_both([self.figures(self.a)]), self._playback)
+        self._wants, self._found = [], None
 
     @property
     def busy(self) -> bool:
@@ -127,9 +107,7 @@ class Survey:
 
     def figures(self, side: Side | None) -> dict[int, Figures]:
         """Return the figures of A or B by slot."""
-        if side is None:
-            return {}
-        return self._measured.of(side.recipe) if side.stored is None else dict(side.stored)
+        return {} if side is None else self._measured.of(side.recipe)
 
     def curve(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return slots and values of a quantity, in order."""
@@ -166,28 +144,6 @@ class Survey:
         k = slot // (self._playback.n + 1)
         before = bisect_right(self.resets, k)
         return before == 0 or k - self.resets[before - 1] >= _HISTORY
-
-    def parts(self) -> tuple[dict[str, dict[str, Part]], int]:
-        """Return the regions' shares of the pixels and of the error for A and B, and the number of slots: those that
-        are counted and where their regions are known; with both sides known, of both."""
-        known = {}
-        for name, side in self._named.items():
-            found = {slot: figures.parts for slot, figures in self.figures(side).items() if figures.parts}
-            known |= {name: found} if found else {}
-        common = self._of_both(list(known.values()))
-        return {name: self._mean_parts([of[slot] for slot in common]) for name, of in known.items() if common}, len(
-            common
-        )
-
-    @staticmethod
-    def _mean_parts(slots: list[dict[str, Part]]) -> dict[str, Part]:
-        pixels, errors, whole = dict.fromkeys(REGIONS, 0.0), dict.fromkeys(REGIONS, 0.0), len(slots)
-        for parts in slots:
-            for name, part in parts.items():
-                pixels[name] += part.pixels
-                errors[name] += part.squared
-        total = sum(errors.values())
-        return {name: Part.of(pixels[name] / whole, errors[name] / whole, total / whole) for name in REGIONS}
 
     # ---- finding frames ------------------------------------------------------------------------------------
 

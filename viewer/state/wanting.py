@@ -8,11 +8,7 @@ from gffe_cl.engine.inspection import names
 from ..engine.messages import Key, Recipe
 from ..engine.store import Playhead, Store, Want
 from ..picture.current_frame import Contents
-from ..picture.disocclusions import Disocclusions
-from ..picture.regions import Regions
-from ..picture.selection import Selection
 from ..picture.view import View
-from ..picture.worst_pixels import WorstPixels
 from .playback import Playback
 
 _MEASURED = frozenset({names.FINAL, names.TRUTH})
@@ -21,12 +17,8 @@ _MEASURED = frozenset({names.FINAL, names.TRUTH})
 class Needed:
     """Names of layers of A and of B."""
 
-    def __init__(
-        self, view: View, contents: Contents, regions: Regions, disocclusions: Disocclusions, selection: Selection,
-        worst: WorstPixels,
-    ):  # fmt: skip
+    def __init__(self, view: View, contents: Contents):
         self._view, self._contents = view, contents
-        self._regions, self._disocclusions, self._selection, self._worst = regions, disocclusions, selection, worst
 
     def all(self) -> frozenset[str]:
         """Return the names of all layers; the displayed image alone while they are not known."""
@@ -37,7 +29,6 @@ class Needed:
         view, wanted = self._view, {self._view.a} | (_MEASURED if measures else frozenset())
         if view.compare != "off" and view.b and not names.is_second(view.b):
             wanted.add(view.b)
-        wanted |= self._regions.needed | self._disocclusions.needed | self._selection.needed | self._worst.needed
         if view.overlay in ("edges", "residual motion"):
             wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
         specs = [self._contents.spec(name) for name in wanted]
@@ -46,8 +37,7 @@ class Needed:
         return frozenset(wanted)
 
     def of_second(self, measures: bool) -> frozenset[str]:
-        final = {names.FINAL} & self._regions.needed
-        return frozenset({self._view.a} | final | (_MEASURED if measures else frozenset()))
+        return frozenset({self._view.a}) | (_MEASURED if measures else frozenset())
 
 
 _STILL = 0.3  # seconds that a still picture must have stood

@@ -1,332 +1,461 @@
-"""Table of actions, for menus, help and the command palette."""
+"""Table of actions, for menus, help, the command palette and scripts."""
 
 from __future__ import annotations
 
+import math
+import re
+from difflib import get_close_matches
+from fractions import Fraction
 from functools import partial
+from pathlib import Path
 
 from imgui_bundle import imgui
 
 from gffe_cl.captures.scenes import SCENES, SITUATIONS
-from gffe_cl.engine.core.errors import printable
+from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.options import Option
-from ..engine.figures import QUANTITIES, REGIONS
-from ..state import copying, saving
-from ..state.actions import Action
-from ..state.comparing import FORMULAS
+from ..engine.figures import QUANTITIES
+from ..state.actions import Action, Actions
+from ..state.captions import Message
+from ..state.comparing import FORMULAS, WAYS
 from ..state.model import Model
-from ..state.parameters import ALL
-from ..state.presets import Kept, command_line
-from .workspace import Workspace
+from ..state.navigation import Flight
+from ..state.parameters import ALL, parsed
+from ..state.playback import Playback
+from ..state.presets import command_line
+from ..state.saving import LayersWork, PictureWork
+from .app import App
 
 _EXPOSURE_STEP = 0.5
-LAYERS = "Layer"  # group of actions
+_NEAR = 3  # names that are suggested where one is unknown
+_WAYS = ("split", "Split wipe", "W"), ("difference", "Difference", "D"), ("error", "Error map", "M")
+LAYERS, _SCRIPT = "Layer", "Script"  # groups of actions that are in no menu
+_LAST = ("Tools", "Panels", "Help")  # menus after those of modules and parameters
+
+# ---- why an action cannot run --------------------------------------------------------------------------------
 
 
-def register(app: Workspace) -> None:
-    """Fill `app.actions`."""
-    model = app.model
-
-    def add(id, label, group, shortcut, run, enabled=lambda: None, **more):
-        app.actions.register(Action(id, label, group, shortcut, run, enabled, **more))
-
-    def opened():
-        return None if model.source is not None else "nothing is open"
-
-    def live():
-        return opened() or (None if model.source.live else "only in a built-in scene")
-
-    def recorded():
-        return opened() or (None if not model.source.live else "only of recorded frames")
-
-    def on_disk():
-        return opened() or (None if model.source.target else "only of a sequence on disk or a scene")
-
-    def savable():
-        return opened() or ("something is being saved" if model.saving.work is not None else None)
-
-    def playback(name, *arguments):
-        return lambda: getattr(model.playback, name)(*arguments)
-
-    def look(change, *values):
-        return lambda: change(model.view.a, *values)
-
-    add("open", "Open …", "File", "Ctrl+O", app.open_dialog)
-    add("open_path", "Open by path …", "File", "Ctrl+Shift+O", lambda: app.open_path.open(model.open))
-    add("reload", "Reload frames", "File", "Ctrl+R", model.reload, on_disk)
-    add("save_png", "Save picture as PNG", "File", "Ctrl+S", partial(model.saving.start, saving.PictureWork), savable)
-    add("save_exr", "Save layers as EXR", "File", "Ctrl+E", partial(model.saving.start, saving.LayersWork), savable)
-    add("save_video", "Save playback as MP4", "File", "Ctrl+M", partial(model.saving.start, saving.VideoWork), savable)
-    add("save_into", "Save into …", "File", "",
-        lambda: app.open_dialog("Save into a folder", model.saving.choose_folder),
-        tooltip="Choose the folder of what is saved from now on")  # fmt: skip
-    add("copy_saved", "Copy the path of the last save", "File", "",
-        lambda: app.copy(str(model.saving.saved)),
-        lambda: None if model.saving.saved else "nothing has been saved")  # fmt: skip
-    add("legends", "Legends in saved pictures", "File", "",
-        lambda: setattr(model.settings, "legends", not model.settings.legends),
-        checked=lambda: model.settings.legends)  # fmt: skip
-    add("quit", "Quit", "File", "Ctrl+Q", app.close, anywhere=True)
-
-    add("play", "Play / stop", "Playback", "Space", playback("toggle"), opened)
-    add("step", "Next frame", "Playback", "Right", playback("step", 1), opened, repeat=True)
-    add("step_back", "Previous frame", "Playback", "Left", playback("step", -1), opened, repeat=True)
-    add(
-        "next_rendered",
-        "Next rendered frame",
-        "Playback",
-        "Shift+Right",
-        playback("step_rendered", 1),
-        opened,
-        repeat=True,
-    )
-    add("previous_rendered", "Previous rendered frame", "Playback", "Shift+Left", playback("step_rendered", -1), opened,
-        repeat=True)  # fmt: skip
-    add("first", "First frame", "Playback", "Home", playback("home"), opened)
-    add("last", "Last frame", "Playback", "End", playback("end"), opened)
-    add("stop", "Stop computing", "Playback", "Ctrl+.", model.stop_computing,
-        lambda: opened() or (None if model.stopped or model.showing.is_waiting else "nothing is being computed"),
-        tooltip="Cancel the current picture. Press again to resume")  # fmt: skip
-    add("only_generated", "Only generated frames", "Playback", "Shift+G",
-        lambda: setattr(model.playback, "only_generated", not model.playback.only_generated), opened,
-        checked=lambda: model.playback.only_generated,
-        tooltip="While it plays, the generated frame before stands in for each rendered one")  # fmt: skip
-    add("set_in", "Set in point", "Playback", "[", playback("set_in"), opened)
-    add("set_out", "Set out point", "Playback", "]", playback("set_out"), opened)
-    add("clear_points", "Clear in and out points", "Playback", "\\", playback("clear_points"), opened)
-
-    add("fit", "Fit", "View", "F", lambda: setattr(model.framing, "due", True), opened)
-    add("one_to_one", "1 : 1", "View", "Ctrl+0", lambda: setattr(model.view, "zoom", 1.0), opened)
-    add("zoom_in", "Zoom in", "View", "+", lambda: model.framing.zoom_in(app.canvas_size, model.pointing.picked),
-        opened, also=("=",), tooltip="Zoom in at the picked pixel if it is seen, else at the middle")  # fmt: skip
-    add("zoom_out", "Zoom out", "View", "-", lambda: model.framing.zoom(0.5), opened)
-    add("next_layer", "Next layer", "View", "Down", lambda: model.walk.next_layer(1), opened, repeat=True)
-    add("previous_layer", "Previous layer", "View", "Up", lambda: model.walk.next_layer(-1), opened, repeat=True)
-    add("next_channel", "Next channel", "View", "C", look(model.looks.next_channel), opened)
-    add("overview", "Overview of all layers", "View", "O",
-        lambda: setattr(model, "overview", not model.overview), opened,
-        checked=lambda: model.overview)  # fmt: skip
-    add("disocclusions", "Disocclusions", "View", "X",
-        lambda: model.disocclusions.switch(not model.disocclusions.on), opened, checked=lambda: model.disocclusions.on,
-        tooltip="Over the picture: pixels of generated frames that were out of screen or hidden")  # fmt: skip
-    add("mark_invalid", "Mark invalid pixels", "View", "",
-        lambda: setattr(model.view, "mark_invalid", not model.view.mark_invalid),
-        checked=lambda: model.view.mark_invalid,
-        tooltip="A pattern over NaN, infinity, and pixels that the input has invalid")  # fmt: skip
-    add("brighter", "Brighter", "View", "E", look(model.looks.expose, _EXPOSURE_STEP), opened)
-    add("darker", "Darker", "View", "Shift+E", look(model.looks.expose, -_EXPOSURE_STEP), opened)
-    add("normalize", "Fit range to the picture", "View", "N", look(model.looks.fit), opened)
-    add("reset_display", "Reset display", "View", "R", look(model.looks.reset), opened)
-    _copying(app, add, savable)
-    _comparing(app, add, opened)
-    _finding(app, add, opened, savable)
-    add("fly", "Fly the camera", "Camera", "G", model.flights.toggle, live, checked=lambda: model.flying,
-        tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster")  # fmt: skip
-    add("home_camera", "Back to the scene's camera", "Camera", "H", model.stop_flying, live)
-
-    for name, option in ALL.items():
-        _register_parameter(app, name, option)
-    add("undo", "Undo a setting", "Parameters", "Ctrl+Z", model.undo.undo,
-        lambda: None if model.undo.done else "no setting was changed")  # fmt: skip
-    add("redo", "Redo a setting", "Parameters", "Ctrl+Shift+Z", model.undo.redo,
-        lambda: None if model.undo.undone else "nothing was undone")  # fmt: skip
-
-    add("reload_kernels", "Reload kernels", "Tools", "F5", model.engine.reload_kernels)
-    add("palette", "Command palette", "Tools", "Ctrl+P", app.palette.open)
-    add(
-        "doctor",
-        "Examine the sequence",
-        "Tools",
-        "Ctrl+D",
-        app.examine,
-        recorded,
-        tooltip="Find faults: conventions of motion, depth and cameras, and the order of frames",
-    )
-    add("theme", "Light theme", "Tools", "Ctrl+T", lambda: _theme(app), checked=lambda: model.settings.theme == "light")
-    add("larger", "Larger interface", "Tools", "Ctrl+=", lambda: app.scale_by(1.1))
-    add("smaller", "Smaller interface", "Tools", "Ctrl+-", lambda: app.scale_by(1 / 1.1))
-    add("panels", "Hide panels", "Panels", "Ctrl+B", app.docks.hide, checked=lambda: app.docks.hidden)
-    for name in app.docks.names:
-        add(f"panel {name}", name, "Panels", "", partial(app.docks.toggle, name),
-            checked=lambda name=name: app.docks.panel(name).is_visible)  # fmt: skip
-    add("layout", "Default arrangement", "Panels", "", app.docks.reset)
-
-    add("help", "Keys and help", "Help", "?", app.help.toggle, anywhere=True)
+def opened(app: App) -> str | None:
+    return None if app.model.source is not None else "nothing is open"
 
 
-def _copying(app: Workspace, add, savable) -> None:
-    """Register the actions that copy to the clipboard."""
-    model = app.model
-
-    def value():
-        at, stale = model.values
-        return "" if at is None or stale else copying.value_of(model.contents, model.captions.frame, model.view.a, at)
-
-    def no_numbers():
-        image = model.contents.image(model.view.a)
-        if model.selection.rectangle is None:
-            return "drag with Shift to draw a rectangle"
-        fits = image is not None and image.shape[:2] == model.contents.size[::-1]
-        return None if fits else "only of layers as large as the display"
-
-    def numbers():
-        image, rectangle = model.contents.image(model.view.a), model.selection.rectangle
-        assert image is not None and rectangle is not None  # as there are numbers
-        return copying.numbers_of(image, rectangle)
-
-    add("copy_value", "Copy the value", "File", "Ctrl+C", lambda: app.copy(value()),
-        lambda: None if value() else "point at a pixel, or pick one",
-        tooltip="Frame, layer, pixel and value")  # fmt: skip
-    add("copy_layer", "Copy the layer's numbers", "File", "Ctrl+Alt+C", lambda: app.copy(numbers()), no_numbers,
-        tooltip="Copy the numbers of the rectangle's pixels row by row, to paste them into a table")  # fmt: skip
-    add(
-        "copy_picture",
-        "Copy the picture",
-        "File",
-        "Ctrl+Shift+C",
-        partial(model.saving.start, copying.CopyWork),
-        savable,
-    )
+def live(app: App) -> str | None:
+    return opened(app) or (None if app.model.source.live else "only in a built-in scene")
 
 
-def _comparing(app: Workspace, add, opened) -> None:
-    """Register the actions that compare A with B."""
-    model = app.model
-
-    def no_second():
-        return None if model.kept.b is not None else "no settings are kept as B"
-
-    def no_settings():
-        reason = no_second()
-        return reason or ("B is pictures, not settings" if model.kept.b and model.kept.b.place else None)
-
-    def copy(kept: Kept | None = None):
-        setup = model.setup if kept is None else kept.setup(model.n)
-        app.copy(printable(command_line(setup, model.source, model.plan.seed)))
-
-    add("keep", "Keep settings as B", "Compare", "K", model.sides.keep, opened,
-        tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A")  # fmt: skip
-    add("swap", "Take B's settings for A", "Compare", "Shift+K", model.sides.take_second,
-        lambda: opened() or no_settings())  # fmt: skip
-    add("b_from", "B from a folder …", "Compare", "Ctrl+K",
-        lambda: app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", model.sides.take_b_from),
-        opened,
-        tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels")  # fmt: skip
-    add("b_baseline", "B from stored figures …", "Compare", "Alt+B",
-        lambda: app.open_dialog("Compare with stored figures", model.sides.take_b_from, of_file=True),
-        opened,
-        tooltip="A baseline that the viewer has stored, or the JSON of gffe compare: its figures are B's")  # fmt: skip
-    add("copy_command", "Copy A's command line", "Compare", "Alt+K", copy, opened,
-        tooltip="Copy the command gffe run … with the present settings")  # fmt: skip
-    add("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
-        lambda: copy(model.kept.b), lambda: opened() or no_settings())  # fmt: skip
-    add("flip", "Show B (hold)", "Compare", "B", model.comparison.flip, opened, hold=True)
-    for way, text, key in (
-        ("split", "Split wipe", "W"),
-        ("difference", "Difference", "D"),
-        ("error", "Error map", "M"),
-    ):
-        add(f"compare_{way}", text, "Compare", key, partial(model.comparison.toggle, way),
-            lambda way=way: opened() or model.comparison.why_not(way),
-            checked=lambda way=way: model.view.compare == way)  # fmt: skip
-    for how, text in FORMULAS.items():
-        add(f"difference_{how}", f"Difference as {text}", "Compare", "", partial(model.comparison.subtract, how),
-            lambda: opened() or model.comparison.why_not("difference"),
-            checked=lambda how=how: model.view.difference == how)  # fmt: skip
-    add("truth", "Show ground truth", "Compare", "T", model.comparison.toggle_truth,
-        lambda: opened() or model.contents.why_not("truth"))  # fmt: skip
+def recorded(app: App) -> str | None:
+    return opened(app) or (None if not app.model.source.live else "only of recorded frames")
 
 
-def _finding(app: Workspace, add, opened, savable) -> None:
-    """Register the actions that find wrong frames, regions and pixels."""
-    model, survey, regions = app.model, app.model.survey, app.model.regions
-    add("survey", "Measure all frames", "Find", "Alt+J", lambda: app.show_survey(not survey.on),
-        lambda: opened(), checked=lambda: survey.on,
-        tooltip="Every generated frame, in the background: for the plot, and for finding frames")  # fmt: skip
-    add("save_figures", "Store figures as a baseline", "Find", "Alt+Shift+J",
-        lambda: model.saving.start(lambda subject: saving.FiguresWork(subject, survey.document())),
-        lambda: savable() or (None if survey.figures(survey.a) else "no frame is measured yet"),
-        tooltip="A's figures that are known, as JSON. Alt+B shows them as B's later")  # fmt: skip
-    for id, text, key, find, tooltip in (
-        ("worst", "Worst frame", "J", survey.worst, "By the quantity that is plotted"),
-        ("next_worst", "Next worse frame", "Shift+J", survey.next, "In the order of the last search"),
-        ("most_different", "Largest A–B difference", "Ctrl+J", survey.most_different,
-         "Frame where the plotted figure of A's and B's settings differs most; again: the next one"),
-    ):  # fmt: skip
-        difference = id == "most_different"
-        add(id, text, "Find", key, partial(app.find, find),
-            lambda difference=difference: opened() or survey.why_not(difference), tooltip=tooltip)  # fmt: skip
-    add("worst_pixel", "Worst pixel", "Find", "Alt+W", lambda: setattr(model.worst, "due", True),
-        lambda: opened() or model.worst.why_not(),
-        tooltip="Of this frame, by A and B if they are compared, else by ground truth; again: the next")  # fmt: skip
-    for name, quantity in QUANTITIES.items():
-        add(f"plot {name}", f"Plot {quantity.label}", "Find", "", partial(setattr, survey, "quantity", name),
-            checked=lambda name=name: survey.quantity == name)  # fmt: skip
-    add("regions", "Regions of errors", "Find", "Alt+R", app.switch_regions,
-        lambda: opened() or regions.why_not(), checked=lambda: regions.on,
-        tooltip="Where errors are counted, over the picture")  # fmt: skip
-    for name, text in REGIONS.items():
-        add(f"region {name}", f"Only region: {name}", "Find", "", partial(regions.see_only, name),
-            lambda: opened() or regions.why_not(), checked=lambda name=name: regions.only == name,
-            tooltip=f"{text[:1].upper()}{text[1:]}")  # fmt: skip
-    add("next_invalid", "Next invalid pixel", "Find", "Shift+N",
-        lambda: model.walk.go_to_pixel(model.invalid.next(model.pointing.picked)),
-        lambda: opened() or (None if model.invalid.count else "no NaN, infinity or invalid input in this picture"),
-        tooltip="NaN, infinity, and pixels that the input has invalid; row by row")  # fmt: skip
-    add("back", "Back to where the link was", "Find", "Backspace", model.walk.back,
-        lambda: opened() or (None if model.walk.can_go_back else "no link was followed"))  # fmt: skip
-    add("forget_rectangle", "Forget the rectangle", "Find", "", model.selection.forget,
-        lambda: opened() or (None if model.selection.rectangle else "drag with Shift to draw one"))  # fmt: skip
+def on_disk(app: App) -> str | None:
+    return opened(app) or (None if app.model.source.target else "only of a sequence on disk or a scene")
 
 
-def _register_parameter(app: Workspace, name: str, option: Option) -> None:
-    """Register a switch for a module, an action for every choice, and for a number one that asks for it."""
-    model, parameters = app.model, app.model.parameters
-
-    def add(id, label, group, run, checked=lambda: None, tooltip=option.sentence):
-        reason = partial(parameters.why_not, name)
-        app.actions.register(Action(f"{name} {id}", label, group, "", run, reason, checked, tooltip))
-
-    if option.is_module:
-        label, tooltip = option.off_label or option.label, option.off_sentence or option.sentence
-        on = partial(parameters.is_on, name)
-        add("switch", label, "Modules", lambda: parameters.switch(name, not on()), on, tooltip)
-    for choice, text in option.choices.items():
-        add(f"choice {choice}", f"{option.label}: {choice}", "Parameters", partial(model.set, name, choice),
-            lambda choice=choice: parameters.value(name) == choice, f"{text[:1].upper()}{text[1:]}.")  # fmt: skip
-    if option.kind in (int, float):
-        add("number", f"{option.label} …", "Parameters", partial(app.palette.ask, name))
+def savable(app: App) -> str | None:
+    return opened(app) or ("something is being saved" if app.model.saving.work is not None else None)
 
 
-def register_layers(app: Workspace) -> None:
-    """Register an action for every new layer. Actions of layers that are not made now stay, disabled."""
-    model = app.model
-    for spec in model.contents.layers:
-        if f"layer {spec.name}" in app.actions:
-            continue
-        name = spec.name
-        app.actions.register(
-            Action(
-                f"layer {name}",
-                f"{spec.group}: {spec.label}",
-                LAYERS,
-                "",
-                partial(model.show_layer, name),
-                partial(_why_no_layer, model, name),
-                lambda name=name: model.view.a == name,
-                spec.description,
-            )
-        )
+def computing(app: App) -> str | None:
+    waits = app.model.source is not None and (app.model.stopped or app.model.showing.is_waiting)
+    return None if waits else "nothing is being computed"
 
 
-def _why_no_layer(model: Model, name: str) -> str | None:
-    return model.contents.why_absent(name) or model.contents.why_not(name)
+def second(app: App) -> str | None:
+    """Return why there are no settings of B to go on with."""
+    kept = app.model.kept.b
+    if kept is None:
+        return opened(app) or "no settings are kept as B"
+    return opened(app) or ("B is pictures, not settings" if kept.place else None)
 
 
-def _theme(app: Workspace) -> None:
+def comparable(way: str, app: App) -> str | None:
+    return opened(app) or app.model.comparison.why_not(way)
+
+
+def shows_error(app: App) -> str | None:
+    shown = app.model.view.compare in ("difference", "error", "flip error")
+    return opened(app) or (None if shown else "show a difference or an error first (D, M)")
+
+
+def has_truth(app: App) -> str | None:
+    return opened(app) or app.model.contents.why_not("truth")
+
+
+def has_invalid(app: App) -> str | None:
+    found = app.model.invalid.count
+    return opened(app) or (None if found else "no NaN, infinity or invalid input in this picture")
+
+
+def has_left(app: App) -> str | None:
+    return opened(app) or (None if app.model.walk.can_go_back else "no link was followed")
+
+
+def findable(difference: bool, app: App) -> str | None:
+    return opened(app) or app.model.survey.why_not(difference)
+
+
+# ---- what needs more than a call ---------------------------------------------------------------------------------
+
+
+def _toggle(of: object, name: str) -> None:
+    setattr(of, name, not getattr(of, name))
+
+
+def _look(app: App, change: str, *values: float) -> None:
+    """Change the display of the layer A by a method of `Looks`."""
+    getattr(app.model.looks, change)(app.model.view.a, *values)
+
+
+def _copy_command(app: App, of_b: bool = False) -> None:
+    model, kept = app.model, app.model.kept.b if of_b else None
+    setup = model.setup if kept is None else kept.setup(model.n)
+    app.copy(printable(command_line(setup, model.source, model.plan.seed)))
+
+
+def _take_b(app: App) -> None:
+    app.open_dialog("Compare with a sequence, an output of gffe run, or kernels", app.model.sides.take_b_from)
+
+
+def _theme(app: App) -> None:
     app.model.settings.theme = "dark" if app.model.settings.theme == "light" else "light"
 
 
-def menus(app: Workspace) -> None:
+ACTIONS = (
+    Action("open", "Open …", "File", "Ctrl+O", lambda app: app.open_dialog()),
+    Action("open_path", "Open by path …", "File", "Ctrl+Shift+O", lambda app: app.open_path.open(app.model.open)),
+    Action("reload", "Reload frames", "File", "Ctrl+R", lambda app: app.model.reload(), on_disk),
+    Action("save_png", "Save picture as PNG", "File", "Ctrl+S",
+           lambda app: app.model.saving.start(PictureWork), savable),
+    Action("save_exr", "Save layers as EXR", "File", "Ctrl+E",
+           lambda app: app.model.saving.start(LayersWork), savable),
+    Action("save_into", "Save into …", "File", "",
+           lambda app: app.open_dialog("Save into a folder", app.model.saving.choose_folder),
+           tooltip="Choose the folder of what is saved from now on"),
+    Action("quit", "Quit", "File", "Ctrl+Q", lambda app: app.close(), anywhere=True),
+    Action("play", "Play / stop", "Playback", "Space", lambda app: app.model.playback.toggle(), opened),
+    Action("step", "Next frame", "Playback", "Right", lambda app: app.model.playback.step(1), opened, repeat=True),
+    Action("step_back", "Previous frame", "Playback", "Left", lambda app: app.model.playback.step(-1), opened,
+           repeat=True),
+    Action("next_rendered", "Next rendered frame", "Playback", "Shift+Right",
+           lambda app: app.model.playback.step_rendered(1), opened, repeat=True),
+    Action("previous_rendered", "Previous rendered frame", "Playback", "Shift+Left",
+           lambda app: app.model.playback.step_rendered(-1), opened, repeat=True),
+    Action("first", "First frame", "Playback", "Home", lambda app: app.model.playback.home(), opened),
+    Action("last", "Last frame", "Playback", "End", lambda app: app.model.playback.end(), opened),
+    Action("stop", "Stop computing", "Playback", "Ctrl+.", lambda app: app.model.stop_computing(), computing,
+           tooltip="Cancel the current picture. Press again to resume"),
+    Action("only_generated", "Only generated frames", "Playback", "Shift+G",
+           lambda app: _toggle(app.model.playback, "only_generated"), opened,
+           lambda app: app.model.playback.only_generated,
+           tooltip="While it plays, the generated frame before stands in for each rendered one"),
+    Action("set_in", "Set in point", "Playback", "[", lambda app: app.model.playback.set_in(), opened),
+    Action("set_out", "Set out point", "Playback", "]", lambda app: app.model.playback.set_out(), opened),
+    Action("clear_points", "Clear in and out points", "Playback", "\\",
+           lambda app: app.model.playback.clear_points(), opened),
+    Action("fit", "Fit", "View", "F", lambda app: setattr(app.model.framing, "due", True), opened),
+    Action("one_to_one", "1 : 1", "View", "Ctrl+0", lambda app: setattr(app.model.view, "zoom", 1.0), opened),
+    Action("zoom_in", "Zoom in", "View", "+",
+           lambda app: app.model.framing.zoom_in(app.canvas_size, app.model.pointing.picked), opened, also=("=",),
+           tooltip="Zoom in at the picked pixel if it is seen, else at the middle"),
+    Action("zoom_out", "Zoom out", "View", "-", lambda app: app.model.framing.zoom(0.5), opened),
+    Action("next_layer", "Next layer", "View", "Down", lambda app: app.model.walk.next_layer(1), opened, repeat=True),
+    Action("previous_layer", "Previous layer", "View", "Up", lambda app: app.model.walk.next_layer(-1), opened,
+           repeat=True),
+    Action("next_channel", "Next channel", "View", "C", lambda app: _look(app, "next_channel"), opened),
+    Action("overview", "Overview of all layers", "View", "O", lambda app: _toggle(app.model, "overview"), opened,
+           lambda app: app.model.overview),
+    Action("mark_invalid", "Mark invalid pixels", "View", "", lambda app: _toggle(app.model.view, "mark_invalid"),
+           checked=lambda app: app.model.view.mark_invalid,
+           tooltip="A pattern over NaN, infinity, and pixels that the input has invalid"),
+    Action("brighter", "Brighter", "View", "E", lambda app: _look(app, "expose", _EXPOSURE_STEP), opened),
+    Action("darker", "Darker", "View", "Shift+E", lambda app: _look(app, "expose", -_EXPOSURE_STEP), opened),
+    Action("normalize", "Fit range to the picture", "View", "N", lambda app: _look(app, "fit"), opened),
+    Action("reset_display", "Reset display", "View", "R", lambda app: _look(app, "reset"), opened),
+    Action("keep", "Keep settings as B", "Compare", "K", lambda app: app.model.sides.keep(), opened,
+           tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A"),
+    Action("swap", "Take B's settings for A", "Compare", "Shift+K", lambda app: app.model.sides.take_second(), second),
+    Action("b_from", "B from a folder …", "Compare", "Ctrl+K", _take_b, opened,
+           tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels"),
+    Action("copy_command", "Copy A's command line", "Compare", "Alt+K", _copy_command, opened,
+           tooltip="Copy the command gffe run … with the present settings"),
+    Action("copy_command_b", "Copy B's command line", "Compare", "Alt+Shift+K",
+           lambda app: _copy_command(app, of_b=True), second),
+    Action("flip", "Show B (hold)", "Compare", "B", lambda app: app.model.comparison.flip(True), opened,
+           release=lambda app: app.model.comparison.flip(False)),
+    *(
+        Action(f"compare_{way}", text, "Compare", key, lambda app, way=way: app.model.comparison.toggle(way),
+               partial(comparable, way), lambda app, way=way: app.model.view.compare == way)
+        for way, text, key in _WAYS
+    ),
+    *(
+        Action(f"difference_{how}", f"Difference as {text}", "Compare", "",
+               lambda app, how=how: app.model.comparison.subtract(how), partial(comparable, "difference"),
+               lambda app, how=how: app.model.view.difference == how)
+        for how, text in FORMULAS.items()
+    ),
+    Action("truth", "Show ground truth", "Compare", "T", lambda app: app.model.comparison.toggle_truth(), has_truth),
+    Action("survey", "Measure all frames", "Find", "Alt+J",
+           lambda app: app.show_survey(not app.model.survey.on), opened, lambda app: app.model.survey.on,
+           tooltip="Every generated frame, in the background: for the plot, and for finding frames"),
+    Action("worst", "Worst frame", "Find", "J", lambda app: app.find(app.model.survey.worst), partial(findable, False),
+           tooltip="By the quantity that is plotted"),
+    Action("next_worst", "Next worse frame", "Find", "Shift+J", lambda app: app.find(app.model.survey.next),
+           partial(findable, False), tooltip="In the order of the last search"),
+    Action("most_different", "Largest A–B difference", "Find", "Ctrl+J",
+           lambda app: app.find(app.model.survey.most_different), partial(findable, True),
+           tooltip="Frame where the plotted figure of A's and B's settings differs most; again: the next one"),
+    Action("worst_pixel", "Worst pixel", "Find", "Alt+W", lambda app: app.model.go_to_largest(), shows_error,
+           tooltip="Pixel with the largest difference or error that is shown"),
+    *(
+        Action(f"plot {name}", f"Plot {quantity.label}", "Find", "",
+               lambda app, name=name: setattr(app.model.survey, "quantity", name),
+               checked=lambda app, name=name: app.model.survey.quantity == name)
+        for name, quantity in QUANTITIES.items()
+    ),
+    Action("next_invalid", "Next invalid pixel", "Find", "Shift+N",
+           lambda app: app.model.walk.go_to_pixel(app.model.invalid.next(app.model.pointing.picked)), has_invalid,
+           tooltip="NaN, infinity, and pixels that the input has invalid; row by row"),
+    Action("back", "Back to where the link was", "Find", "Backspace", lambda app: app.model.walk.back(), has_left),
+    Action("fly", "Fly the camera", "Camera", "G", lambda app: app.model.flights.toggle(), live,
+           lambda app: app.model.flying,
+           tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster"),
+    Action("home_camera", "Back to the scene's camera", "Camera", "H", lambda app: app.model.stop_flying(), live),
+    Action("reload_kernels", "Reload kernels", "Tools", "F5", lambda app: app.model.engine.reload_kernels()),
+    Action("palette", "Command palette", "Tools", "Ctrl+P", lambda app: app.palette.open()),
+    Action("doctor", "Examine the sequence", "Tools", "Ctrl+D", lambda app: app.examine(), recorded,
+           tooltip="Find faults: conventions of motion, depth and cameras, and the order of frames"),
+    Action("theme", "Light theme", "Tools", "Ctrl+T", _theme, checked=lambda app: app.model.settings.theme == "light"),
+    Action("larger", "Larger interface", "Tools", "Ctrl+=", lambda app: app.scale_by(1.1)),
+    Action("smaller", "Smaller interface", "Tools", "Ctrl+-", lambda app: app.scale_by(1 / 1.1)),
+    Action("panels", "Hide panels", "Panels", "Ctrl+B", lambda app: app.docks.hide(),
+           checked=lambda app: app.docks.hidden),
+    Action("layout", "Default arrangement", "Panels", "", lambda app: app.docks.reset()),
+    Action("help", "Keys and help", "Help", "?", lambda app: app.help.toggle(), anywhere=True),
+)  # fmt: skip
+
+
+# ---- actions of scripts: they take an argument --------------------------------------------------------------------
+
+
+def slot_of(text: str, playback: Playback) -> int:
+    """Return the slot written as "9", its number on the timeline, "4+1/2", or "4+0", a rendered frame. Raises
+    GffeError."""
+    found = re.fullmatch(r"(\d+)(?:\s*\+\s*(?:0|(\d+)/(\d+)))?", text.strip(), re.ASCII)
+    if found is None or (found[3] and not 0 < int(found[2]) < int(found[3])):
+        raise GffeError(
+            "expected a frame's number on the timeline, generated ones counted (9), or a rendered frame's and a part"
+            f" of the way to the next (4+1/2; 4+0: itself), got '{text}'"
+        )
+    parts, slot = playback.n + 1, Fraction(int(found[1]))
+    if "+" in text:
+        slot = (slot + (Fraction(int(found[2]), int(found[3])) if found[3] else 0)) * parts
+    if slot.denominator != 1:
+        raise GffeError(f"{text}: generated frames are at {found[1]}+1/{parts} and so on")
+    if slot >= playback.slots:
+        last = f"{playback.count - 1}+{playback.n}/{parts}"
+        raise GffeError(f"expected 0 to {playback.slots - 1} (0 to {last}), got {text}")
+    return int(slot)
+
+
+def found_layer(model: Model, name: str) -> str:
+    """Return the full name of a layer that can be shown. Raises GffeError."""
+    found = model.contents.find(name)
+    if found is None:
+        near = nearest(name, [spec.name for spec in model.contents.layers])
+        raise GffeError(f"no layer is called '{name}' (nearest: {near})")
+    if reason := model.contents.why_not(found):
+        raise GffeError(f"layer '{found}': {reason}")
+    return found
+
+
+def numbers(text: str, count: int) -> list[float]:
+    """Return so many finite numbers of a list such as "1,2.5". Raises GffeError."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise GffeError(f"expected {count} number{'s, with commas' * (count > 1)}, got '{text}'")
+    return values
+
+
+def _with(app: App, name: str) -> None:
+    found = found_layer(app.model, name)
+    if found == app.model.view.a:
+        raise GffeError(f"'{found}' is compared with itself (expected another layer)")
+    app.model.comparison.with_layer(found)
+
+
+def _show_plane(app: App, text: str) -> None:
+    (plane,), spec = numbers(text, 1), app.model.contents.spec(app.model.view.a)
+    if spec is None or plane not in range(1, spec.planes + 1):
+        planes = 1 if spec is None else spec.planes
+        raise GffeError(f"expected 1 to {planes}, which '{app.model.view.a}' has, got {text}")
+    app.model.looks.choose_plane(spec.name, int(plane) - 1)
+
+
+def _compare(app: App, way: str) -> None:
+    if way not in WAYS:
+        raise GffeError(f"expected {', '.join(WAYS)}, got '{way}'")
+    if reason := app.model.comparison.why_not(way):
+        raise GffeError(reason)
+    app.model.comparison.set(way)
+
+
+def _split(app: App, text: str) -> None:
+    (share,) = numbers(text, 1)
+    app.model.view.split = min(max(share, 0.0), 1.0)
+
+
+def _pick(app: App, text: str) -> None:
+    if text == "none":
+        app.model.pointing.pick(None)
+        return
+    (width, height), (x, y) = app.model.contents.size, numbers(text, 2)
+    if not (0 <= x < width and 0 <= y < height):
+        raise GffeError(f"expected a pixel inside {width}×{height}, got {text}")
+    app.model.pointing.pick((int(x), int(y)))
+
+
+def _set(app: App, text: str) -> None:
+    name, _, value = text.partition(" ")
+    option, value, parameters = ALL.get(name), value.strip(), app.model.parameters
+    if option is None:
+        raise GffeError(f"unknown option '{name}' (expected {', '.join(ALL)})")
+    if reason := parameters.why_not(name):
+        raise GffeError(f"{option.label}: {reason}")
+    if value in ("on", "off") and option.is_module:
+        parameters.switch(name, value == "on")
+    else:
+        parameters.set(name, _value(option, value))
+
+
+def _value(option: Option, text: str) -> object:
+    if option.kind in (int, float):
+        return parsed(option, text)
+    return text == "on" if option.kind is bool and text in ("on", "off") else text
+
+
+def _show_panel(app: App, name: str) -> None:
+    if name not in app.docks.names:
+        raise GffeError(f"no panel is called '{name}' (expected {', '.join(app.docks.names)})")
+    app.docks.show(name)
+
+
+def _steer(app: App, text: str) -> None:
+    if text == "none":
+        app.steering = None
+        return
+    right, up, forward, yaw, pitch = numbers(text, 5)
+    if not app.model.flying:
+        raise GffeError("the camera does not fly (expected the action fly before it)")
+    app.steering = Flight((right, up, forward), 1.0, 0.0, 0.0, (yaw, pitch))
+
+
+SCRIPT = (
+    Action("seek", "Go to a frame", _SCRIPT, "",
+           lambda app, text: app.model.playback.seek(slot_of(text, app.model.playback)), opened,
+           takes="FRAME: its number on the timeline, generated ones counted (9), or 4+1/2 (4+0: rendered frame 4)"),
+    Action("layer", "Show a layer", _SCRIPT, "",
+           lambda app, name: app.model.show_layer(found_layer(app.model, name)), opened, takes="NAME"),
+    Action("plane", "Show a plane of the layer", _SCRIPT, "", _show_plane, opened, takes="N, from 1"),
+    Action("from", "B from a folder", _SCRIPT, "", lambda app, place: app.model.sides.load_b(place), opened,
+           takes="FOLDER: another sequence, an output of gffe run, or kernels"),
+    Action("with", "Compare with a layer", _SCRIPT, "", _with, opened, takes="NAME"),
+    Action("compare", "Compare A with B", _SCRIPT, "", _compare, opened, takes=", ".join(WAYS)),
+    Action("split", "Move the line of the wipe", _SCRIPT, "", _split, takes="SHARE of the width, 0 to 1"),
+    Action("pixel", "Tell the story of a pixel", _SCRIPT, "", _pick, opened, takes="X,Y; none: no more"),
+    Action("set", "Set a parameter or module", _SCRIPT, "", _set,
+           takes="OPTION VALUE, which is on, off, a number or a choice"),
+    Action("panel", "Bring a panel to the front", _SCRIPT, "", _show_panel, takes="NAME"),
+    Action("type", "Type into the command palette", _SCRIPT, "",
+           lambda app, text: app.palette.close() if text == "none" else app.palette.open(text),
+           takes="TEXT; none: close it"),
+    Action("steer", "Steer the camera that flies", _SCRIPT, "", _steer,
+           takes="RIGHT,UP,FORWARD,YAW,PITCH: keys held (-1 to 1) and degrees per second; none: no more"),
+    Action("say", "Show a title over the picture", _SCRIPT, "",
+           lambda app, text: setattr(app.model, "messages", [Message(text, "title")]), takes="TEXT"),
+    Action("wait", "Let time pass", _SCRIPT, "", lambda app, text: app.director.wait(text),
+           takes="SECONDS; done: until nothing is measured, examined or saved"),
+    Action("shot", "Save a picture of the window", _SCRIPT, "", lambda app, text: app.director.shoot(app, Path(text)),
+           takes="FILE.png"),
+)  # fmt: skip
+
+
+# ---- filling the table --------------------------------------------------------------------------------------------
+
+
+def register(app: App) -> None:
+    """Fill `app.actions`."""
+    options = [action for name, option in ALL.items() for action in _of_option(name, option)]
+    first = [action for action in ACTIONS if action.group not in _LAST]
+    last = [action for action in ACTIONS if action.group in _LAST]
+    for action in (*first, *options, *last, *map(_of_panel, app.docks.names), *SCRIPT):
+        app.actions.register(action)
+
+
+def _of_panel(name: str) -> Action:
+    return Action(f"toggle {name}", name, "Panels", "", lambda app: app.docks.toggle(name),
+                  checked=lambda app: app.docks.panel(name).is_visible)  # fmt: skip
+
+
+def _of_option(name: str, option: Option) -> list[Action]:
+    """Return a switch for a module, an action for every choice, and for a number one that asks for it."""
+
+    def why_not(app: App) -> str | None:
+        return app.model.parameters.why_not(name)
+
+    def is_on(app: App) -> bool:
+        return app.model.parameters.is_on(name)
+
+    made = []
+    if option.is_module:
+        label, tooltip = option.off_label or option.label, option.off_sentence or option.sentence
+        switch = lambda app: app.model.parameters.switch(name, not is_on(app))  # noqa: E731
+        made.append(Action(f"{name} switch", label, "Modules", "", switch, why_not, is_on, tooltip))
+    for choice, text in option.choices.items():
+        made.append(
+            Action(
+                f"{name} choice {choice}", f"{option.label}: {choice}", "Parameters", "",
+                lambda app, choice=choice: app.model.set(name, choice), why_not,
+                lambda app, choice=choice: app.model.parameters.value(name) == choice,
+                f"{text[:1].upper()}{text[1:]}.",
+            )
+        )  # fmt: skip
+    if option.kind in (int, float):
+        ask = lambda app: app.palette.ask(name)  # noqa: E731
+        made.append(
+            Action(f"{name} number", f"{option.label} …", "Parameters", "", ask, why_not, tooltip=option.sentence)
+        )
+    return made
+
+
+def register_layers(app: App) -> None:
+    """Register an action for every new layer. Actions of layers that are not made now stay, disabled."""
+
+    def why_not(name: str, app: App) -> str | None:
+        return app.model.contents.why_absent(name) or app.model.contents.why_not(name)
+
+    for spec in app.model.contents.layers:
+        if f"layer {spec.name}" not in app.actions:
+            app.actions.register(
+                Action(
+                    f"layer {spec.name}", f"{spec.group}: {spec.label}", LAYERS, "",
+                    lambda app, name=spec.name: app.model.show_layer(name), partial(why_not, spec.name),
+                    lambda app, name=spec.name: app.model.view.a == name, spec.description,
+                )
+            )  # fmt: skip
+
+
+def nearest(text: str, known: list[str]) -> str:
+    """Return the names that are most similar to `text`, best first."""
+    return ", ".join(get_close_matches(text, known, _NEAR, cutoff=0.0))
+
+
+# ---- menus --------------------------------------------------------------------------------------------------------
+
+
+def menus(app: App) -> None:
     for group, actions in app.actions.grouped().items():
         if group == LAYERS:  # a panel of their own
             continue
@@ -338,10 +467,10 @@ def menus(app: Workspace) -> None:
             imgui.end_menu()
 
 
-def _item(actions, action) -> None:
-    reason = action.enabled()
+def _item(actions: Actions, action: Action) -> None:
+    reason = actions.why_not(action.id)
     clicked, _ = imgui.menu_item(
-        f"{action.label}###{action.id}", action.shortcut, bool(action.checked()), reason is None
+        f"{action.label}###{action.id}", action.shortcut, bool(actions.checked(action.id)), reason is None
     )
     if reason or action.tooltip:
         imgui.set_item_tooltip(reason or action.tooltip)

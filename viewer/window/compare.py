@@ -6,14 +6,13 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from gffe_cl.lab.metrics import METRICS
-from ..picture import flip_map
-from ..picture.differences import DIFFERENCES
-from ..picture.legends import legend
+from ..picture.differences import DIFFERENCES, FLIP_SPEC
 from ..picture.view import ERRORS
+from ..state.captions import legend
 from ..state.comparing import FLIP_HIGH
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
 
 _TEXTS = {
     "off": "off",
@@ -27,7 +26,7 @@ _TEXTS = {
 _SETTINGS = "settings "  # before a name, to distinguish it from a layer's
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     view = model.view
     widgets.heading("Compare")
@@ -69,7 +68,7 @@ def _second(model: Model, layers: dict[str, str]) -> None:
     widgets.choice("B", chosen, settings | layers, choose)
 
 
-def _settings(app: Interface) -> None:
+def _settings(app: App) -> None:
     """Draw the kept settings, and the actions on them."""
     model, kept = app.model, app.model.kept.b
     widgets.heading("Settings A and B")
@@ -112,7 +111,7 @@ def _error_map(model: Model) -> None:
     widgets.slider(
         "brightest", comparison.brightest, 0.01, 1.0, usual, lambda v: setattr(comparison, "brightest", v), "%.2f"
     )
-    widgets.show_legend(legend(flip_map.SPEC, model.comparison.error_display))
+    widgets.show_legend(legend(FLIP_SPEC, model.comparison.error_display))
 
 
 def _quality(model: Model) -> None:
@@ -128,10 +127,6 @@ def _quality(model: Model) -> None:
         f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
     )
     survey = model.survey
-    if survey.baseline is not None:
-        imgui.text_wrapped(f"B's figures: {survey.baseline.name}")
-        if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_baseline"):
-            survey.baseline = None
     score, second = (survey.figures(side).get(model.slot) for side in (survey.a, survey.b))
     if score is not None:
         known = [metric for metric in METRICS.values() if metric.name in score.values]

@@ -1,15 +1,49 @@
-"""Docked panels: where they are, which are open, how large they are, and which is in front."""
+"""Docked panels: their table, where they are, which are open, how large and in which colors."""
 
 from __future__ import annotations
 
 import traceback
 from collections.abc import Callable
+from importlib import import_module
+from typing import Any, NamedTuple
 
-from imgui_bundle import ImVec2, hello_imgui, imgui
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui
 
 from . import widgets
-from .interface import Interface
-from .table import Panel
+
+
+class Panel(NamedTuple):
+    """A panel: the `space` of the window that it is docked in, the `function` of a `module` that draws it, called with
+    the application once per frame of the interface while it is in view; and whether it `is_open` at the first start."""
+
+    space: str
+    module: str
+    is_open: bool = True
+    function: str = "draw"
+
+    def draw(self, to: object) -> None:
+        """Draw the panel of an application."""
+        module: Any = import_module(f".{self.module}", __package__)
+        getattr(module, self.function)(to)
+
+
+PANELS = {
+    "Picture": Panel("MainDockSpace", "picture"),
+    "Layers": Panel("Left", "layers"),
+    "Histogram": Panel("Left", "layers", function="draw_histogram"),
+    "Modules": Panel("Right", "modules"),
+    "Compare": Panel("Right", "compare"),
+    "Inspector": Panel("RightBottom", "inspector"),
+    "Timings": Panel("RightBottom", "timings"),
+    "Kernels": Panel("RightBottom", "timings", function="draw_kernels"),
+    "Doctor": Panel("Right", "doctor", is_open=False),
+    "Differences": Panel("Right", "studies", False, "draw_differing"),
+    "Ablation": Panel("Right", "studies", False, "draw_ablation"),
+    "Plot": Panel("Above", "plot", is_open=False),
+    "Over time": Panel("Above", "studies", False, "draw_over_time"),
+    "Timeline": Panel("Bottom", "timeline"),
+}
+
 
 _ABOVE = "Above"  # the timeline
 _STAY = ("Picture", "Plot", "Timeline")  # one above the other: there, too, where the panels on both sides are hidden
@@ -34,12 +68,14 @@ class Docks:
     ----------
     panels : dict
         Each `Panel` by its name, in order.
+    draw : callable
+        Draws a panel.
     scale : callable
         Size of the interface.
     """
 
-    def __init__(self, app: Interface, panels: dict[str, Panel], scale: Callable[[], float]):
-        self._app, self._panels, self._scale = app, panels, scale
+    def __init__(self, panels: dict[str, Panel], draw: Callable[[Panel], None], scale: Callable[[], float]):
+        self._panels, self._draw, self._scale = panels, draw, scale
         self._runner: hello_imgui.RunnerParams | None = None  # it stores a copy of the assigned value
         self.hidden = False  # the panels on both sides
         self._before_hiding: list[str] = []
@@ -88,7 +124,7 @@ class Docks:
             narrow = docked and _is_crowded(name)
             if unfolded:
                 try:
-                    panel.draw(self._app)
+                    self._draw(panel)
                 except Exception:
                     traceback.print_exc()  # ImGui, in the middle of something, will end the program
                     raise
@@ -226,3 +262,51 @@ def _nodes(name: str) -> list:
     while nodes[-1] is not None:
         nodes.append(nodes[-1].parent_node)
     return nodes[:-1]
+
+
+_THEMES = {"dark": hello_imgui.ImGuiTheme_.darcula_darker, "light": hello_imgui.ImGuiTheme_.light_rounded}
+# of sliders: their numbers stand on them; and while they are dragged
+_GRABS = {"dark": ((0.16, 0.32, 0.52), (0.18, 0.38, 0.62)), "light": ((0.62, 0.77, 0.95), (0.52, 0.7, 0.93))}
+_ROUNDING = 3.0
+_ROUNDED = ("window", "child", "frame", "popup", "grab", "tab")
+
+
+def _factor(scale: float) -> float:
+    return scale * content_scale()
+
+
+def is_scaled(scale: float) -> bool:
+    """Return whether sizes are those of `apply_theme`: ImGui scales them once more where it learns of the screen."""
+    return abs(imgui.get_style()._main_scale - _factor(scale)) < 1e-3
+
+
+def apply_theme(name: str, scale: float) -> None:
+    """Apply the theme "light" or "dark", and make everything `scale` times as large as usual on this screen.
+
+    Windows have no background of their own: filling the screen several times takes a CPU longer than all else, so it is
+    cleared with their color, and what floats asks for a background (`widgets.floating`).
+    """
+    style, usual, col = imgui.get_style(), imgui.Style(), imgui.Col_
+    hello_imgui.apply_theme(_THEMES[name])
+    for what in dir(usual):  # themes and scaling change sizes for good
+        if not (what.startswith(("_", "font_")) or callable(getattr(usual, what))):
+            setattr(style, what, getattr(usual, what))
+    style._main_scale = 1.0  # factor of scale_all_sizes
+    for kind in _ROUNDED:
+        setattr(style, f"{kind}_rounding", _ROUNDING)
+    style.tab_min_width_shrink = 3.0 * _ROUNDING  # many tabs get narrow, none is scrolled out
+    style.frame_border_size = style.child_border_size = 1.0
+    style.scale_all_sizes(_factor(scale))
+    style.font_scale_main = scale
+    ground = style.color_(col.window_bg)
+    params = hello_imgui.get_runner_params()
+    params.imgui_window_params.background_color = ImVec4(ground.x, ground.y, ground.z, 1.0)
+    style.set_color_(col.window_bg, ImVec4(ground.x, ground.y, ground.z, 0.0))
+    for opaque in (col.popup_bg, col.title_bg_active, col.menu_bar_bg):
+        color = style.color_(opaque)
+        style.set_color_(opaque, ImVec4(color.x, color.y, color.z, 1.0))
+    for grab, color in zip((col.slider_grab, col.slider_grab_active), _GRABS[name], strict=True):
+        style.set_color_(grab, ImVec4(*color, 1.0))
+    if name == "light":
+        style.set_color_(col.text_disabled, ImVec4(0.42, 0.42, 0.42, 1.0))
+        style.set_color_(col.text_link, ImVec4(0.05, 0.36, 0.72, 1.0))

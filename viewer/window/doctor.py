@@ -8,12 +8,12 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from gffe_cl.engine.core.errors import printable
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
 
 _AMBER, _GRAY = ImVec4(0.9, 0.7, 0.3, 1.0), ImVec4(0.6, 0.6, 0.62, 1.0)
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     doctor = model.doctor
     widgets.action_button(app.actions, "doctor", icons.ICON_FA_STETHOSCOPE)

@@ -7,16 +7,16 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+from imgui_bundle import hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
 from gffe_cl.engine.inspection.layers import LayerSpec
 from ..picture.invalid import bad_values
-from ..picture.legends import value_text
+from ..state.captions import value_text
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
 
 HERE, FROM = "here", "from"  # the pixel under the pointer, and where its content comes from
 _LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest of the line
@@ -35,7 +35,7 @@ class Row(NamedTuple):
     is_bad: bool
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     if model.walk.can_go_back:
         widgets.action_button(app.actions, "back", icons.ICON_FA_ARROW_LEFT)
@@ -43,14 +43,12 @@ def draw(app: Interface) -> None:
         imgui.begin_disabled(model.pointing.story_is_due or not model.current)
         _story(model, model.pointing.story)
         imgui.end_disabled()
-    if model.selection.rectangle is not None:
-        _rectangle(model, *model.selection.rectangle)
     _buffers(model)
     pinned = model.pointing.picked is not None
     widgets.heading("Values of the picked pixel" if pinned else "Values")
     inspection, stale = model.values
     if inspection is None:
-        widgets.hint("Move over the picture; click a pixel for its story, drag with Shift for statistics")
+        widgets.hint("Move over the picture; click a pixel for its story")
         return
     if stale:
         imgui.text_disabled("computing … these values are of another frame or setting")
@@ -59,7 +57,7 @@ def draw(app: Interface) -> None:
     imgui.end_disabled()
 
 
-def _inspection(app: Interface, inspection: Inspection) -> None:
+def _inspection(app: App, inspection: Inspection) -> None:
     """Draw the values of a pixel, under the positions that they are of."""
     x, y = inspection.pixel
     imgui.text_wrapped(f"{HERE}: pixel ({x}, {y})")
@@ -82,7 +80,7 @@ def _buffers(model: Model) -> None:
         widgets.tooltip("Where the buffers of this frame differ from our conventions (docs/engines.md)")
 
 
-def _values(app: Interface, inspection) -> None:
+def _values(app: App, inspection) -> None:
     """Draw a table for each stage, under its name: layers, and their values."""
     rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
     names = _widest(f"{row.label} {row.where}".strip() for row in rows)
@@ -116,7 +114,7 @@ def _table(group: str, rows: list[Row], names: float) -> None:
     imgui.end_table()
 
 
-def _rows(app: Interface, inspection) -> list[Row]:
+def _rows(app: App, inspection) -> list[Row]:
     """Return the rows of an inspection, which are made once for it."""
     known, rows = app.inspected
     if known is not inspection:
@@ -182,39 +180,3 @@ def _where(link) -> str:
     parts += [] if link.pixel is None else [f"pixel ({link.pixel[0]}, {link.pixel[1]})"]
     parts += [f"layer {link.layer}"] if link.layer and link.frame is None else []
     return "Go to " + ", ".join(parts)
-
-
-def _rectangle(model: Model, left: int, top: int, right: int, bottom: int) -> None:
-    """Draw the statistics of the pixels in the rectangle."""
-    selection = model.selection
-    widgets.heading(f"Rectangle ({left}, {top}) – ({right - 1}, {bottom - 1})")
-    found = selection.statistics
-    if found is None:
-        imgui.text_disabled("…")
-        return
-    imgui.text_wrapped(f"{right - left}×{bottom - top}, {found.count} pixels")
-    for name, share in found.filled.items():
-        imgui.bullet_text(f"{share:.1%} {name}")
-    if found.psnr is not None and found.worst is not None:
-        imgui.text_wrapped(
-            f"PSNR {found.psnr:.2f} dB   error {found.mean_error:.4f} on average, at most {found.largest_error:.4f} at"
-        )
-        if imgui.text_link(f"({found.worst[0]}, {found.worst[1]})###worst_pixel"):
-            model.walk.go_to_pixel(found.worst)
-        widgets.tooltip("Tell the story of this pixel")
-    if found.motion is not None:
-        _motion(found)
-    if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_rectangle"):
-        selection.forget()
-
-
-def _motion(found) -> None:
-    """Draw the median motion, and a histogram of the lengths of motion."""
-    imgui.text_wrapped(f"median motion ({found.motion[0]:+.2f}, {found.motion[1]:+.2f}) px")
-    flags = implot.Flags_.no_mouse_text | implot.Flags_.no_legend | implot.Flags_.no_inputs
-    if implot.begin_plot("###motion", ImVec2(-1, hello_imgui.em_size(8)), int(flags)):
-        fit = implot.AxisFlags_.auto_fit.value
-        implot.setup_axes("length of motion, px", "pixels", fit, fit)
-        middles = (found.edges[:-1] + found.edges[1:]) / 2
-        implot.plot_bars("motion", middles.astype(np.float64), found.lengths, 0.9 * float(np.diff(found.edges)[0]))
-        implot.end_plot()

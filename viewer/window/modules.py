@@ -11,10 +11,10 @@ from gffe_cl.engine.options import PRESETS, Option
 from ..state.model import Model
 from ..state.parameters import by_hand
 from . import widgets
-from .interface import Interface
+from .app import App
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     offered = model.parameters.offered()
     with widgets.compact():

@@ -1,4 +1,4 @@
-"""Picture panel: zoom at the cursor, pan, wipe, choice of a pixel; overlays on the picture."""
+"""Picture panel: zoom at the cursor, pan, wipe, choice of a pixel, overlays; and all layers as tiles."""
 
 from __future__ import annotations
 
@@ -8,15 +8,15 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.engine.inspection import names
-from ..engine.sources.preview import Preview
+from ..engine.sources.opening import Preview
 from ..picture.canvas import Rectangle
 from ..picture.shown_numbers import Numbers, numbers_of, texels
 from ..picture.view import View
 from ..state.captions import layer_text
 from ..state.model import Model
 from ..state.presets import told
-from . import overview, widgets
-from .interface import Interface, Spot
+from . import widgets
+from .app import App, Spot
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
@@ -34,7 +34,7 @@ _GRAY = (0.3, 0.3, 0.32, 0.6)  # over a picture that is not the requested one ..
 _STILL_FRESH = 0.15  # ... for so many seconds: less would flicker
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     app.spot = None
     size = imgui.get_content_region_avail()
@@ -51,7 +51,7 @@ def draw(app: Interface) -> None:
         model.framing.fit((width, height), model.contents.size)
     app.canvas_size = width, height
     if model.overview:
-        overview.draw(app, (width, height))
+        _overview(app, (width, height))
         return
     view = model.comparison.shown()
     view.line = _LINE * widgets.mark_unit()
@@ -73,11 +73,10 @@ def draw(app: Interface) -> None:
     marked = _numbers(model, view, place, marks)
     _way(model, place, marks)
     _trajectory(model, place, marks)
-    _rectangle(model, place, marks)
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
     covers += _bars(model, origin, width, height, marks)
-    if not (marked or stale or model.arrows or model.flying or model.pointing.picked or model.selection.rectangle):
+    if not (marked or stale or model.arrows or model.flying or model.pointing.picked):
         app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
 
@@ -95,14 +94,14 @@ class Placement:
         return self.view.display_at(self.size, at.x - self.origin.x, at.y - self.origin.y)
 
 
-def _welcome(app: Interface, size) -> None:
+def _welcome(app: App, size) -> None:
     text = app.model.notice or "Drop a sequence here, or open one (Ctrl+O), or a built-in scene (File menu)"
     wide = imgui.calc_text_size(text)
     imgui.set_cursor_pos(ImVec2(max((size.x - wide.x) / 2, 0), max((size.y - wide.y) / 2, 0)))
     imgui.text_disabled(text)
 
 
-def _preview(app: Interface, preview: Preview, origin, size) -> None:
+def _preview(app: App, preview: Preview, origin, size) -> None:
     """Draw the first rendered frame, as long as nothing can be computed."""
     model, (height, width) = app.model, preview.color.shape[:2]
     view = View(names.FINAL, model.looks.of(names.FINAL))
@@ -115,7 +114,7 @@ def _preview(app: Interface, preview: Preview, origin, size) -> None:
     widgets.label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
-def _mouse(app: Interface, place) -> None:
+def _mouse(app: App, place) -> None:
     """Handle the mouse on the item drawn last: hover, zoom at the cursor, drag the wipe's line or the picture, click a
     pixel."""
     model, io, view = app.model, imgui.get_io(), app.model.view
@@ -135,20 +134,16 @@ def _mouse(app: Interface, place) -> None:
     if imgui.is_item_activated():
         left = imgui.is_mouse_down(imgui.MouseButton_.left)
         app.pressed_at = at
-        app.drags = "picture" if not left else "rectangle" if io.key_shift else "line" if on_line else "nothing yet"
+        app.drags = "picture" if not left else "line" if on_line else "nothing yet"
     if imgui.is_item_active():
         if app.drags == "nothing yet" and _distance(at, app.pressed_at) >= _DRAG:
             app.drags = "picture"
         if app.drags == "line":
             view.split = min(max((at.x - place.origin.x) / place.size[0], 0.0), 1.0)
-        elif app.drags == "rectangle" and _distance(at, app.pressed_at) >= _DRAG:
-            model.selection.draw(place.to_display(app.pressed_at), place.to_display(at))
         elif app.drags == "picture":
             delta = io.mouse_delta
             view.center = (view.center[0] - delta.x / view.zoom, view.center[1] - delta.y / view.zoom)
     if imgui.is_item_deactivated():
-        if app.drags == "rectangle" and _distance(at, app.pressed_at) < _DRAG:
-            model.selection.forget()
         if app.drags == "nothing yet":
             x, y = place.to_display(at)
             model.pointing.pick((math.floor(x), math.floor(y)))
@@ -279,17 +274,6 @@ def _way(model: Model, place, marks) -> None:
             imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
 
 
-def _rectangle(model: Model, place, marks) -> None:
-    """Draw the rectangle whose statistics the inspector shows."""
-    if model.selection.rectangle is None:
-        return
-    left, top, right, bottom = model.selection.rectangle
-    corners = place.to_screen(left, top), place.to_screen(right, bottom)
-    marks.add_rect_filled(*corners, imgui.get_color_u32((1, 1, 1, 0.06)))
-    marks.add_rect(*corners, imgui.get_color_u32((0, 0, 0, 0.8)), 0, 3 * widgets.mark_unit())
-    marks.add_rect(*corners, imgui.get_color_u32(_ACCENT), 0, 1.5 * widgets.mark_unit())
-
-
 def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     """Write layer names and changed display settings into the corners. Returns their rectangles, in the picture's
     pixels."""
@@ -321,7 +305,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     if found := model.invalid.text():
         kind += f"   {found} (Shift+N)"
     label(kind, 10, height - line)
-    state = model.comparison.scale_text() or (model.disocclusions.text() if model.disocclusions.on else "")
+    state = model.comparison.scale_text()
     if not (model.comparison.ready and model.current) or (model.busy and not model.playback.playing):
         state = model.waiting_text if model.failure is None or model.busy else f"not this frame: {model.failure}"
     if state:
@@ -372,3 +356,61 @@ def _layer_text(model: Model, name: str) -> str:
     if result and names.plain(name) in result.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
     return text
+
+
+_LEAST = 9.5  # em: width of a tile; where all do not fit, they are scrolled
+_GAP = 6  # screen pixels
+_ACCENT = (0.35, 0.85, 1.0, 1.0)
+
+
+def _overview(app: App, room: tuple[int, int]) -> None:
+    """Draw all layers as tiles into `room`, screen pixels."""
+    model = app.model
+    model.pointing.hover(None)
+    if imgui.begin_child("###tiles", ImVec2(*room)):
+        caption = round(imgui.get_text_line_height() + 3)
+        tiles = model.looks.tiles()
+        size = _size(len(tiles), room, model.contents.size, caption)
+        size = size[0], min(size[1], app.canvas.largest)
+        texture, places = app.canvas.overview(tiles, size, caption=caption, gap=_GAP)
+        origin = imgui.get_cursor_screen_pos()
+        imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
+        imgui.set_cursor_screen_pos(origin)
+        clicked = imgui.invisible_button("###overview", ImVec2(*size))
+        for place in places:
+            _tile(model, place, origin, caption, clicked)
+    imgui.end_child()
+
+
+def _size(count: int, room: tuple[int, int], picture: tuple[int, int], caption: int) -> tuple[int, int]:
+    """Return `room`, or a size higher than it where tiles would be narrower than `_LEAST`."""
+    width = room[0] - round(imgui.get_style().scrollbar_size)
+    least = hello_imgui.em_size(_LEAST)
+    columns = max(int((width - _GAP) / (least + _GAP)), 1)
+    tile = (width - _GAP * (columns + 1)) / columns * picture[1] / picture[0]
+    height = math.ceil(_GAP + math.ceil(count / columns) * (tile + caption + _GAP))
+    return room if height <= room[1] else (width, height)
+
+
+def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
+    """Draw a tile's name, and handle the pointer on it."""
+    marks, at = imgui.get_window_draw_list(), imgui.get_mouse_pos()
+    left, top = origin.x + place.x, origin.y + place.y
+    right, bottom = left + place.width, top + place.height
+    spec = model.contents.spec(place.name)
+    if spec is None:
+        return
+    name = widgets.cut(f"{spec.group}: {spec.label}", place.width)
+    marks.add_text(ImVec2(left, bottom + 1), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), name)
+    contents = model.contents
+    reason = contents.why_not(place.name) or ("none in this frame" if place.name in contents.asked else "computing …")
+    if contents.image(place.name) is None:
+        why = widgets.cut(reason, place.width)
+        marks.add_text(ImVec2(left + 4, top + 4), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), why)
+    inside = left <= at.x < right and top <= at.y < bottom
+    if inside and model.pointing.enabled and imgui.is_item_hovered():
+        marks.add_rect(ImVec2(left, top), ImVec2(right, bottom), imgui.get_color_u32(_ACCENT), 0, 2.0)
+        imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
+        if clicked:
+            model.overview = False
+            model.show_layer(place.name)

@@ -11,7 +11,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from ..engine.figures import QUANTITIES
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
 
 COLORS = {"A": (0.96, 0.66, 0.28, 1.0), "B": (0.36, 0.72, 0.95, 1.0)}
 _LOW = 9.0  # em: in a panel that is lower, and narrow, the plot comes first, and its controls are scrolled to
@@ -19,7 +19,7 @@ _ONE_ROW = 30.0  # em: in less, the label of the first control is shorter
 _FEW = 80  # slots: these are marked one by one
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     if model.source is None:
         imgui.text_disabled(model.notice or "Open a sequence or a scene")
@@ -120,7 +120,7 @@ def _step(slots: int, most: float) -> int:
     return next(step for step in steps if slots / step <= max(most, 2) or step >= slots)
 
 
-def _controls(app: Interface) -> None:
+def _controls(app: App) -> None:
     """Draw the controls side by side, in as many rows as they need."""
     model, survey, em = app.model, app.model.survey, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:

@@ -17,9 +17,9 @@ from ..state.model import Model
 
 def view(model: Model, size: tuple[int, int] | None = None) -> None:
     """Run the viewer until it is closed. Without `size` the window is as large as last time."""
-    from .app import App
+    from .running import new_app, run
 
-    App(model).run(size)
+    run(new_app(model), size)
 
 
 @contextmanager

@@ -1,4 +1,4 @@
-"""Status bar: build errors of kernels, the newest message, and the open source."""
+"""Status bar, messages over the picture, and progress of saving."""
 
 from __future__ import annotations
 
@@ -6,18 +6,20 @@ from imgui_bundle import ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.opencl.program import first_error
-from ..picture.legends import value_text
+from ..state.captions import value_text
 from ..state.comparing import BUILD_LETTERS
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
 
 _BLUE = ImVec4(0.36, 0.62, 0.95, 1.0)
 _SECONDS = {"error": 30.0, "note": 8.0}  # that a message stands there, by its kind
+_OVER_PICTURE = {"error": 6.0, "title": 8.0}  # ... over the picture
+_ABOVE_FOOT = 2.2  # em: messages are above the captions at the bottom of the picture
 _KERNEL_SHARE = 0.7  # of the bar, at most, if there is another message
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model, told = app.model, False
     shown = [message for message in model.lately(app.clock(), _SECONDS) if message.kind != "title"]
     if model.engine.build_error:
@@ -97,3 +99,47 @@ def _under_pointer(model: Model) -> list[str]:
         right, down = inspection.source
         told += f"   from ({right:.1f}, {down:.1f})   {value_text(spec, inspection.origin[spec.name])}"
     return [told]
+
+
+def messages(app: App) -> None:
+    """Draw recent errors and a script's title at the foot of the picture; a click dismisses them, as Escape does
+    where no window is open."""
+    lately = app.model.lately(app.clock(), _OVER_PICTURE)
+    shown = [message for message in lately if message.kind != "note" and not message.dismissed]
+    if not shown:
+        return
+    app.spot = None
+    x, y = app.foot or imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos((x, y - hello_imgui.em_size(_ABOVE_FOOT)), imgui.Cond_.always.value, (0.5, 1.0))
+    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
+    flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
+    widgets.floating()
+    imgui.begin("###messages", None, int(flags))
+    imgui.push_text_wrap_pos(hello_imgui.em_size(36))
+    for message in shown[-4:]:
+        if message.error:
+            imgui.text_colored(widgets.red(), "error")
+            imgui.same_line()
+        imgui.text_unformatted(message.text)
+    imgui.pop_text_wrap_pos()
+    if imgui.is_window_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.left):
+        app.model.dismiss_messages()
+    imgui.end()
+
+
+def progress(app: App) -> None:
+    """Draw the progress of the export that is under way, with a button to stop it."""
+    work = app.model.saving.work
+    if work is None:
+        return
+    app.spot = None
+    center = imgui.get_main_viewport().get_center()
+    imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
+    flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking
+    widgets.floating()
+    imgui.begin("Saving###export", None, int(flags))
+    imgui.text(work.label)
+    imgui.progress_bar(work.done / max(work.total, 1), (hello_imgui.em_size(22), 0), f"{work.done} of {work.total}")
+    if imgui.button("cancel###cancel_export"):
+        work.cancel()
+    imgui.end()

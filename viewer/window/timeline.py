@@ -10,7 +10,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
 
 RENDERED = (0.36, 0.62, 0.95, 1.0)
 GENERATED = (0.96, 0.66, 0.28, 1.0)
@@ -23,7 +23,7 @@ _LEAST_STATUS = 4.5  # em: with less room it has a row of its own
 _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     if model.source is None:
         imgui.text_disabled(model.notice or "Open a sequence or a scene")
@@ -33,7 +33,7 @@ def draw(app: Interface) -> None:
     _transport(app)
 
 
-def _transport(app: Interface) -> None:
+def _transport(app: App) -> None:
     """Draw the controls side by side, in as many rows as they need."""
     playback, width = app.model.playback, hello_imgui.em_size
     with widgets.in_rows(indent=0.0) as row:

@@ -1,28 +1,32 @@
-"""Timings of the stages and their kernels, and how they went over the last frames."""
+"""Timings of the stages and their kernels over the last frames; kernels that are rebuilt when their files change."""
 
 from __future__ import annotations
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
+from imgui_bundle import icons_fontawesome_6 as icons
 
+from gffe_cl.engine.opencl.program import kernel_folder
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
 
 _COLUMNS = {"stage": 0.5, "time": 0.28, "ms": 0.22}
 _NARROW = 20.0  # em: a narrower table has no bars
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     means = model.timings.means()
     if not means:
         imgui.text_disabled("nothing computed yet")
         return
+    imgui.text_wrapped(f"interface {imgui.get_io().framerate:.0f} frames/s   upload {model.screen.upload_ms:.1f} ms")
     imgui.text_wrapped(
-        f"interface {imgui.get_io().framerate:.0f} frames/s   frame {model.timings.wall():.1f} ms"
-        f"   reading back {model.timings.readback():.1f} ms   upload {model.screen.upload_ms:.1f} ms"
+        f"{model.timings.text}: {model.timings.wall():.1f} ms from request to picture,"
+        f" {model.timings.readback():.1f} ms of it reading back"
     )
+    widgets.tooltip("Frames from the cache count with the times of when they were computed")
     held, mib = model.held, 1 << 20
     told = ", ".join(f"{name} {nbytes / mib:.0f}" for name, nbytes in held.items())
     imgui.text_wrapped(f"memory {sum(held.values()) / mib:.0f} of {model.store.most / mib:.0f} MiB: {told}")
@@ -54,7 +58,7 @@ def draw(app: Interface) -> None:
     flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table has the legend
     if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), flags):
         flags = implot.AxisFlags_.auto_fit.value
-        implot.setup_axes("computed frame", "ms", flags, flags)
+        implot.setup_axes("shown frame", "ms", flags, flags)
         for name, values in model.timings.stages.items():
             implot.plot_line(name, np.array(values, np.float64))
         implot.end_plot()
@@ -88,3 +92,23 @@ def _bar(share: float, color) -> None:
     corner = ImVec2(origin.x + width, origin.y + 0.85 * height)
     ink = imgui.get_color_u32(color)
     imgui.get_window_draw_list().add_rect_filled(ImVec2(origin.x, origin.y + 0.2 * height), corner, ink)
+
+
+_GREEN = (0.5, 0.85, 0.5, 1.0)
+
+
+def draw_kernels(app: App) -> None:
+    engine = app.model.engine
+    imgui.text_wrapped(f"{kernel_folder()}")
+    widgets.action_button(app.actions, "reload_kernels", icons.ICON_FA_ARROWS_ROTATE)
+    imgui.same_line()
+    if engine.build_error:
+        imgui.push_text_wrap_pos(0.0)
+        imgui.text_colored(widgets.red(), "does not build; the last good kernels are running")
+        imgui.text_unformatted(engine.build_log)
+        imgui.pop_text_wrap_pos()
+        if imgui.button("copy###copy_build_error"):
+            imgui.set_clipboard_text(engine.build_log)
+    else:
+        imgui.text_colored(_GREEN, "built")
+        widgets.hint("Save a .cl file: it is rebuilt at once")

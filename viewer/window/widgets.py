@@ -11,8 +11,8 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..engine.messages import Failure
-from ..picture.colors import Rgb, wheel_color
-from ..picture.legends import Legend
+from ..picture.displays import Rgb, wheel_color
+from ..state.captions import Legend
 from ..state.model import Model
 from ..state.studies import Here, Study
 
@@ -53,7 +53,7 @@ def tooltip(text: str) -> None:
 def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
     """Draw a button for an action, `width` em, grayed out with the reason where it cannot run."""
     action = actions[name]
-    reason = action.enabled()
+    reason = actions.why_not(name)
     imgui.begin_disabled(reason is not None)
     if imgui.button(f"{icon}###{name}", ImVec2(hello_imgui.em_size(width), 0)):
         actions.run(name)

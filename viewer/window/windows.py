@@ -1,28 +1,29 @@
-"""Temporary windows: help, a path to open, progress of saving, messages."""
+"""Windows over the panels: help, a path to open, the command palette; Escape closes the top one."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
+from typing import Protocol
 
 from imgui_bundle import hello_imgui, imgui
 
 from gffe_cl.captures.scenes import scene_names
-from gffe_cl.engine.core.errors import printable
+from gffe_cl.engine.core.errors import GffeError, printable
+from gffe_cl.engine.options import Option
+from ..state.actions import Actions
+from ..state.parameters import ALL, Parameters, by_hand, parsed
 from . import widgets
-from .interface import Interface
 
 _HELP_COLUMNS = 3
-_OVER_PICTURE = {"error": 6.0, "title": 8.0}  # seconds that a message stands there, by its kind
 _ALONE = int(imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize)
-_ABOVE_FOOT = 2.2  # em: messages are above the captions at the bottom of the picture
 
 
 class Help:
     """Window with all shortcuts."""
 
-    def __init__(self):
-        self.is_open = False
+    def __init__(self, actions: Actions):
+        self._actions, self.is_open = actions, False
 
     def toggle(self) -> None:
         self.is_open = not self.is_open
@@ -30,21 +31,21 @@ class Help:
     def close(self) -> None:
         self.is_open = False
 
-    def draw(self, app: Interface) -> bool:
+    def draw(self) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
         widgets.floating()
         _, stays = imgui.begin("Keys###help", True, _ALONE)
         self.is_open = bool(stays)
         imgui.push_style_var(imgui.StyleVar_.cell_padding, (hello_imgui.em_size(0.8), 0.0))
         if imgui.begin_table("###keys", _HELP_COLUMNS, imgui.TableFlags_.sizing_fixed_fit.value):
-            for column in _columns(app.actions.shortcut_table()):
+            for column in _columns(self._actions.shortcut_table()):
                 imgui.table_next_column()
                 _key_column(column)
             imgui.end_table()
         imgui.pop_style_var()
         imgui.text_disabled(
             "Wheel: zoom at the cursor.  Drag: pan, or the wipe's line.  Click: the story of a pixel."
-            "  Shift+drag: statistics of a rectangle.  Escape: close the topmost window."
+            "  Escape: close the topmost window."
         )
         focused = imgui.is_window_focused()
         imgui.end()
@@ -78,19 +79,21 @@ class OpenPath:
     def __init__(self):
         self.text: str | None = None
         self.use: Callable[[str], object] = str
-        self._title = ""
+        self._title, self._of_source = "", True
 
     @property
     def is_open(self) -> bool:
         return self.text is not None
 
-    def open(self, use: Callable[[str], object], title: str = "Open a sequence or a scene") -> None:
-        self.text, self.use, self._title = "", use, title
+    def open(self, use: Callable[[str], object], title: str = "") -> None:
+        """Ask for a path; without a `title` it is that of a sequence or a scene."""
+        self.text, self.use = "", use
+        self._of_source, self._title = not title, title or "Open a sequence or a scene"
 
     def close(self) -> None:
         self.text = None
 
-    def draw(self, app: Interface) -> bool:
+    def draw(self) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
         widgets.floating()
         _, stays = imgui.begin(f"{self._title}###open_path", True, _ALONE)
@@ -101,7 +104,7 @@ class OpenPath:
         chosen, self.text = imgui.input_text_with_hint("###path", printable(str(Path.cwd())), self.text or "", enter)
         imgui.same_line()
         chosen |= imgui.button("open###open_this")
-        if self.use == app.model.open:
+        if self._of_source:
             imgui.text_disabled(f"The folder of a sequence, or a built-in scene: {scene_names()}")
         focused = imgui.is_window_focused()
         imgui.end()
@@ -113,45 +116,179 @@ class OpenPath:
         return focused
 
 
-def messages(app: Interface) -> None:
-    """Draw recent errors and a script's title at the foot of the picture; a click dismisses them, as Escape does
-    where no window is open."""
-    lately = app.model.lately(app.clock(), _OVER_PICTURE)
-    shown = [message for message in lately if message.kind != "note" and not message.dismissed]
-    if not shown:
-        return
-    app.spot = None
-    x, y = app.foot or imgui.get_main_viewport().get_center()
-    imgui.set_next_window_pos((x, y - hello_imgui.em_size(_ABOVE_FOOT)), imgui.Cond_.always.value, (0.5, 1.0))
-    flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
-    flags |= imgui.WindowFlags_.no_focus_on_appearing | imgui.WindowFlags_.no_nav
-    widgets.floating()
-    imgui.begin("###messages", None, int(flags))
-    imgui.push_text_wrap_pos(hello_imgui.em_size(36))
-    for message in shown[-4:]:
-        if message.error:
-            imgui.text_colored(widgets.red(), "error")
-            imgui.same_line()
-        imgui.text_unformatted(message.text)
-    imgui.pop_text_wrap_pos()
-    if imgui.is_window_hovered() and imgui.is_mouse_clicked(imgui.MouseButton_.left):
-        app.model.dismiss_messages()
-    imgui.end()
+_FOUND = 12  # actions that are listed
+_STEPS = 20  # of a number that is not whole, over its usual range
 
 
-def progress(app: Interface) -> None:
-    """Draw the progress of the export that is under way, with a button to stop it."""
-    work = app.model.saving.work
-    if work is None:
-        return
-    app.spot = None
-    center = imgui.get_main_viewport().get_center()
-    imgui.set_next_window_pos(center, imgui.Cond_.appearing.value, (0.5, 0.5))
-    flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking
-    widgets.floating()
-    imgui.begin("Saving###export", None, int(flags))
-    imgui.text(work.label)
-    imgui.progress_bar(work.done / max(work.total, 1), (hello_imgui.em_size(22), 0), f"{work.done} of {work.total}")
-    if imgui.button("cancel###cancel_export"):
-        work.cancel()
-    imgui.end()
+class Palette:
+    """Command palette. `text`: typed text, None while it is closed; `at`: index of the chosen hit; `asked`: name of
+    the number being asked for in place of an action."""
+
+    def __init__(self, actions: Actions, parameters: Parameters):
+        self._actions, self._parameters = actions, parameters
+        self.text: str | None = None
+        self.at = 0
+        self.asked: str | None = None
+        self._problem = ""
+        self._refocus = False  # the field, which Enter has left
+
+    def open(self, text: str = "") -> None:
+        if self.text is not None:  # the field keeps the value from when it became active
+            imgui.internal.clear_active_id()
+            self._refocus = True
+        self.text, self.at, self.asked = text, 0, None
+
+    def ask(self, name: str) -> None:
+        """Ask for the value of a number."""
+        self.text, self.asked, self._problem = "", name, ""
+
+    @property
+    def is_open(self) -> bool:
+        return self.text is not None
+
+    def close(self) -> None:
+        self.text = self.asked = None
+
+    def draw(self) -> bool:
+        asked = self.asked
+        viewport = imgui.get_main_viewport()
+        top = (viewport.pos.x + viewport.size.x / 2, viewport.pos.y + viewport.size.y * 0.15)
+        imgui.set_next_window_pos(top, imgui.Cond_.always.value, (0.5, 0.0))
+        imgui.set_next_window_size((hello_imgui.em_size(34), 0))
+        flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_move
+        widgets.floating()
+        imgui.begin(f"Command palette###palette{'_value' if asked else ''}", None, int(flags))
+        appearing = imgui.is_window_appearing()
+        chosen = self._number(self._parameters) if asked else self._search(self._actions)
+        lost = not imgui.is_window_focused() and not appearing
+        imgui.end()
+        if chosen is not None or lost:
+            self.close()
+        if chosen:
+            self._actions.run(chosen)
+        return not lost
+
+    def _typed(self, hint: str) -> bool:
+        """Draw the field, and return whether Enter was pressed."""
+        if imgui.is_window_appearing() or self._refocus:
+            imgui.set_keyboard_focus_here()
+        self._refocus = False
+        imgui.set_next_item_width(-1)
+        enter = imgui.InputTextFlags_.enter_returns_true.value
+        entered, text = imgui.input_text_with_hint("###command", hint, self.text or "", enter)
+        self.at = 0 if text != self.text else self.at
+        self.text = text
+        return entered
+
+    def _search(self, actions: Actions) -> str | None:
+        """Draw the field and the actions that match. Return the id of the action that Enter or a click has chosen; ""
+        if Enter was pressed where none matches, None until then."""
+        entered = self._typed("command")
+        found = actions.search(self.text or "")[:_FOUND]
+        self.at = min(max(self.at + _arrows(), 0), max(len(found) - 1, 0))
+        run = found[self.at].id if entered and found else None
+        for index, action in enumerate(found):
+            reason = actions.why_not(action.id)
+            imgui.begin_disabled(reason is not None)
+            if imgui.selectable(f"{action.group}: {action.label}###palette {action.id}", index == self.at)[0]:
+                run = action.id
+            imgui.end_disabled()
+            widgets.tooltip("\n".join(filter(None, (action.tooltip, reason))))
+            imgui.same_line(0, hello_imgui.em_size(1))
+            _at_right(reason or action.shortcut or "on" * bool(actions.checked(action.id)))
+        return "" if entered and not found else run
+
+    def _number(self, parameters: Parameters) -> str | None:
+        """Draw the field for a number, and return "" when a value was taken, else None."""
+        name = self.asked
+        assert name is not None  # it is open
+        option, value = ALL[name], parameters.value(name)
+        now = option.automatic if value is None else f"{value:g} {option.unit}".rstrip()
+        entered = self._typed(f"{option.label}: {option.expected}")
+        step = -_arrows()
+        if step:
+            parameters.set(name, stepped(option, value, step))
+        if entered:
+            try:
+                parameters.set(name, parsed(option, self.text or ""))
+            except GffeError as error:
+                self._problem, self._refocus, self.text = str(error), True, ""
+            else:
+                return ""
+        imgui.text(f"{option.label}: {now}")
+        widgets.hint(self._problem or f"{option.sentence} Enter applies the typed value, the arrows step.")
+        return None
+
+
+def _at_right(text: str) -> None:
+    """Draw as much of the text as the line has room for, at its end."""
+    room = imgui.get_content_region_avail().x
+    text = widgets.cut(text, room)
+    imgui.set_cursor_pos_x(imgui.get_cursor_pos_x() + room - imgui.calc_text_size(text).x)
+    imgui.text_disabled(text)
+
+
+def _arrows() -> int:
+    return imgui.is_key_pressed(imgui.Key.down_arrow) - imgui.is_key_pressed(imgui.Key.up_arrow)
+
+
+def stepped(option: Option, value: float | None, steps: int) -> float | int:
+    """Return the value `steps` steps further, within the range."""
+    high = option.high if option.usual_high is None else option.usual_high
+    size = 1 if option.kind is int else (high - option.low) / _STEPS
+    start = by_hand(option) if value is None else value
+    return option.kind(min(max(start + steps * size, option.low), max(high, start)))
+
+
+_ANY_POPUP = imgui.PopupFlags_.any_popup.value
+
+
+class Window(Protocol):
+    """Window over the panels; `draw` returns whether it has the focus."""
+
+    @property
+    def is_open(self) -> bool: ...
+
+    def close(self) -> None: ...
+
+    def draw(self) -> bool: ...
+
+
+class Stack:
+    """Stack of open windows; `windows`: all that there are; `dismiss` is called by Escape where none is open.
+
+    Attributes
+    ----------
+    covers : bool
+        Whether one of them is open, or a menu or list of ImGui's.
+    """
+
+    def __init__(self, dismiss: Callable[[], None], *windows: Window):
+        self._dismiss, self._windows = dismiss, windows
+        self._open: list[Window] = []  # the one on top last
+        self._popup = self.covers = False
+
+    def draw(self) -> None:
+        """Draw those that are open; after Escape without the one on top."""
+        self._sort()
+        popup = imgui.is_popup_open("", _ANY_POPUP)
+        if imgui.is_key_pressed(imgui.Key.escape, False):
+            # ImGui has closed its own menu or list by now
+            self._escape(taken=popup or self._popup)
+        self._popup = popup
+        for window in list(self._open):
+            if window.draw():
+                self._open.remove(window)
+                self._open.append(window)
+        self._sort()
+        self.covers = bool(self._open) or popup
+
+    def _sort(self) -> None:
+        still = [window for window in self._open if window.is_open]
+        self._open = still + [window for window in self._windows if window.is_open and window not in still]
+
+    def _escape(self, taken: bool) -> None:
+        if self._open and not taken:
+            self._open.pop().close()
+        elif not taken:
+            self._dismiss()

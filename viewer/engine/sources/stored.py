@@ -18,8 +18,8 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
 from ..messages import Frame, Key
-from .file_watch import state_of_capture
-from .preview import place_of
+from .opening import place_of
+from .recorded import state_of_capture
 from .source import FrameSource
 
 _IN_OUTPUT = {names.DEPTH: ("Z",), names.MOTION: ("motion.x", "motion.y")} | {

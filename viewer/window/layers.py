@@ -1,31 +1,31 @@
-"""Layers: every named buffer of every stage, shown singly or all at once; how each is displayed is remembered."""
+"""Layers: every named buffer of every stage, how each is displayed, and the histogram of the displayed one."""
 
 from __future__ import annotations
 
+import math
 from functools import partial
 from itertools import groupby
 
-from imgui_bundle import ImVec2, hello_imgui, imgui
+import numpy as np
+from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from ..picture.colors import COLOR_MAPS
-from ..picture.displays import TONE_MAPS, default_display, shown_as
-from ..picture.legends import Legend, legend
-from ..state.captions import disocclusion_colors
+from ..picture.displays import COLOR_MAPS, TONE_MAPS, default_display, shown_as
+from ..state.captions import legend
 from ..state.model import Model
 from . import widgets
-from .interface import Interface
+from .app import App
+from .plot import scale_of
 
-_OVERLAYS = ("none", "edges", "residual motion", "disocclusions", "clipping")
+_OVERLAYS = ("none", "edges", "residual motion", "clipping")
 _OVERLAY_HELP = {
     "edges": "Edges of depth are red, of motion green, of color blue: white where all three meet",
     "residual motion": "Motion minus the camera's; its hue is its direction",
     "clipping": "Colors below 0 are blue, above display white red, with the exposure of the display",
-    "disocclusions": "Pixels without a fragment of the rendered frame",
 }
 
 
-def draw(app: Interface) -> None:
+def draw(app: App) -> None:
     model = app.model
     widgets.toggle(
         "overview",
@@ -36,8 +36,6 @@ def draw(app: Interface) -> None:
     widgets.choice("overlay", model.view.overlay, list(_OVERLAYS), lambda name: setattr(model.view, "overlay", name))
     if model.view.overlay in _OVERLAY_HELP:
         widgets.hint(_OVERLAY_HELP[model.view.overlay])
-    if model.disocclusions.on:
-        widgets.show_legend(Legend("none", labels=disocclusion_colors()))
     height = max(imgui.get_content_region_avail().y - app.display_height, hello_imgui.em_size(6))
     if imgui.begin_child("###layers", ImVec2(0, height), imgui.ChildFlags_.borders.value):
         imgui.push_style_var(imgui.StyleVar_.indent_spacing, hello_imgui.em_size(0.7))
@@ -53,7 +51,7 @@ def draw(app: Interface) -> None:
     app.display_height = imgui.get_cursor_pos_y() - top + hello_imgui.em_size(0.3)
 
 
-def _row(app: Interface, spec) -> None:
+def _row(app: App, spec) -> None:
     model = app.model
     shown = spec.name == model.view.a
     reason = model.contents.why_not(spec.name)
@@ -127,3 +125,65 @@ def _range(display, change) -> None:
         widgets.beside("range")
     if changed:
         change(low=low, high=high)
+
+
+_COLORS = {"R": ImVec4(0.95, 0.35, 0.3, 1), "G": ImVec4(0.4, 0.85, 0.4, 1), "B": ImVec4(0.4, 0.6, 1.0, 1)}
+_PLAIN, _HANDLE = ImVec4(0.75, 0.75, 0.78, 1), ImVec4(0.96, 0.66, 0.28, 1.0)
+
+
+def draw_histogram(app: App) -> None:
+    model, histogram = app.model, app.model.histogram
+    spec = model.contents.spec(model.view.a)
+    histogram.update()
+    if spec is None or histogram.counts is None:
+        widgets.hint("Masks, labels and missing layers have no histogram" if spec else "Open a sequence or a scene")
+        return
+    imgui.text(widgets.cut(f"{spec.group}: {spec.label}", imgui.get_content_region_avail().x))
+    widgets.toggle("log", histogram.log, lambda on: setattr(histogram, "log", on), "Logarithmic axis of shares")
+    imgui.same_line()
+    if imgui.button("fit###fit_histogram"):
+        model.looks.fit(spec.name)
+    widgets.tooltip("Range, or exposure, from the picture: 1 to 99 % of its finite values (N)")
+    imgui.same_line()
+    if imgui.button("reset###reset_histogram"):
+        model.looks.reset(spec.name)
+    handles = histogram.handles()
+    widgets.hint("   ".join(f"{name} {value:.4g}" for name, value in handles.items()))
+    counts, flags = histogram.counts, implot.Flags_.no_mouse_text | implot.Flags_.no_legend | implot.Flags_.no_menus
+    flags |= implot.Flags_.no_box_select
+    height = min(max(imgui.get_content_region_avail().y, hello_imgui.em_size(7)), hello_imgui.em_size(16))
+    if not implot.begin_plot("###histogram", ImVec2(-1, height), int(flags)):
+        return
+    low, high = (float(side) for side in (counts.edges[0], counts.edges[-1]))
+    room = 0.02 * (high - low)
+    implot.setup_axes(_unit(model, spec), "share of pixels, %")
+    low, high = min(low, *handles.values()) - room, max(high, *handles.values()) + room
+    implot.setup_axis_limits(implot.ImAxis_.x1, low, high, imgui.Cond_.always.value)
+    _, _, levels, texts = scale_of(low, high)
+    implot.setup_axis_ticks(implot.ImAxis_.x1, levels, texts)
+    rows = counts.shares
+    if histogram.log:  # each decade is as high, from the share of one pixel on
+        foot = math.floor(math.log10(counts.least))
+        rows = np.log10(np.maximum(rows, 10.0**foot)) - foot
+        decades = range(math.ceil(float(rows.max())) + 1)
+        implot.setup_axis_ticks(implot.ImAxis_.y1, list(decades), [f"{10.0 ** (at + foot):g}" for at in decades])
+    implot.setup_axis_limits(implot.ImAxis_.y1, 0, 1.05 * float(rows.max()), imgui.Cond_.always.value)
+    for name, row in zip(counts.channels, rows, strict=True):
+        line = implot.Spec()
+        line.line_color, line.fill_color, line.fill_alpha = (*[_COLORS.get(name, _PLAIN)] * 2, 0.25)
+        line.flags = implot.StairsFlags_.shaded.value
+        implot.plot_stairs(name, counts.edges, np.append(row, row[-1]), line)
+    for number, (name, value) in enumerate(handles.items()):
+        moved, value, *_ = implot.drag_line_x(number, value, _HANDLE, 2.0)
+        if moved:
+            histogram.drag(name, float(value))
+    implot.end_plot()
+
+
+def _unit(model: Model, spec) -> str:
+    """Return the name of the axis of values."""
+    display = model.looks.of(spec.name)
+    view = shown_as(spec, display)[0]
+    if view == "color":
+        return "linear color"
+    return "length, px" if view in ("motion", "place") else legend(spec, display).unit or "value"

@@ -1,0 +1,316 @@
+"""The window: it is opened, and one frame of the interface is drawn after the other; keyboard and mouse; and frames
+that redraw the picture alone."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Iterator
+from typing import Any
+
+import numpy as np
+from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
+
+from ..picture.canvas import Canvas, Rectangle
+from ..state.actions import IMGUI_KEYS, Actions
+from ..state.model import Model
+from ..state.navigation import Flight
+from ..state.settings import can_save
+from . import commands, status
+from .app import App
+from .docks import apply_theme, content_scale, is_scaled
+
+_TITLE = "gffe-cl"
+_LAYOUT_VERSION = 5
+_IDLE_RATE = 0.7  # frames of the interface per second in which nothing changes, or less
+_LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
+
+
+def new_app(model: Model, on_frame: Callable[[App], None] | None = None) -> App:
+    """Return an application with its actions, without a window."""
+    app = App(model, on_frame)
+    commands.register(app)
+    return app
+
+
+def run(app: App, size: tuple[int, int] | None = None, test: Callable[[App], None] | None = None) -> None:
+    """Open the window, as large as last time if no `size` is given, until it is closed. `test` registers tests of
+    ImGui's test engine."""
+    _Window(app).run(size, test)
+
+
+def _within_screen(size: tuple[int, int]) -> tuple[int, int]:
+    """Return a window's size, in pixels at 96 dpi, or less where the screen is smaller."""
+    import glfw
+
+    monitor = glfw.get_primary_monitor() if glfw.init() else None
+    if not monitor:
+        return size
+    _, _, *room = glfw.get_monitor_workarea(monitor)
+    scales = glfw.get_monitor_content_scale(monitor)
+    width, height = (
+        min(side, int(most / scale)) if most > 0 and scale > 0 else side
+        for side, most, scale in zip(size, room, scales, strict=True)
+    )
+    return width, height
+
+
+class _Window:
+    """The window of an application."""
+
+    def __init__(self, app: App):
+        self._app, self._params = app, hello_imgui.RunnerParams()
+        self._themed: tuple[str, float] | None = None  # theme and scale that are applied
+        self._may_idle = True  # where nothing happens, frames are drawn seldom
+        self._picture_frames = PictureFrames(app)
+        self._told: tuple[int, int] | None = None  # the inspector's pixel
+        self._layers_known: list = []  # those that have actions
+
+    def run(self, size: tuple[int, int] | None, test: Callable[[App], None] | None) -> None:
+        app, params = self._app, self._params
+        size = _within_screen(size or app.model.settings.window_size)
+        self._may_idle = test is None
+        params.fps_idling.fps_idle = _IDLE_RATE
+        params.app_window_params.window_title = _TITLE
+        params.app_window_params.window_geometry.size = size
+        params.app_window_params.restore_previous_geometry = False
+        window = params.imgui_window_params
+        window.default_imgui_window_type = hello_imgui.DefaultImGuiWindowType.provide_full_screen_dock_space
+        window.show_menu_bar = window.show_status_bar = True
+        window.show_menu_app = window.show_menu_view = window.show_status_fps = window.remember_theme = False
+        # multisampling costs a CPU more than all that is drawn, and ImGui smooths its edges itself
+        params.renderer_backend_options.open_gl_options.anti_aliasing_samples = 0
+        params.ini_disable = test is not None or not can_save()
+        params.ini_folder_type = hello_imgui.IniFolderType.app_user_config_folder
+        params.ini_filename = f"gffe-cl/layout{_LAYOUT_VERSION}.ini"
+        app.docks.arrange(params, size, app.model.settings.panels)
+        callbacks = params.callbacks
+        callbacks.default_icon_font = hello_imgui.DefaultIconFont.font_awesome6
+        callbacks.post_init = self._post_init
+        callbacks.pre_new_frame = self._before_frame
+        callbacks.show_menus = lambda: commands.menus(app)
+        callbacks.show_status = lambda: status.draw(app)
+        callbacks.show_gui = self._windows
+        callbacks.before_swap = self._before_swap
+        callbacks.before_exit = self._before_exit
+        if test is not None:
+            params.use_imgui_test_engine = True
+            callbacks.register_tests = lambda: test(app)
+        immapp.run(params, immapp.AddOnsParams(with_implot=True))
+
+    def _before_swap(self) -> None:
+        app = self._app
+        if app.clock is time.perf_counter and not app.captures:
+            self._picture_frames.allow(app.stack.covers)
+        if not app.captures:
+            return
+        wanted, app.captures = app.captures, []
+        width, height = map(int, imgui.get_io().display_size)
+        framebuffer = app.canvas.ctx.detect_framebuffer(0)
+        pixels = np.frombuffer(framebuffer.read((width, height), components=3, alignment=1), np.uint8)
+        for use in wanted:
+            use(pixels.reshape(height, width, 3)[::-1].copy())
+
+    def _post_init(self) -> None:
+        import glfw
+        import moderngl
+        from imgui_bundle import glfw_utils
+
+        app = self._app
+        app.canvas = Canvas(moderngl.create_context())
+        window: Any = glfw_utils.glfw_window_hello_imgui()
+        dropped: Any = lambda _window, paths: app.drop(paths)  # noqa: E731
+        glfw.set_drop_callback(window, dropped)
+        app.model.engine.wake = glfw.post_empty_event
+        implot.get_style().use_local_time = False
+        implot.get_style().plot_min_size = ImVec2(40, 40)  # pixels: narrow panels show whole plots
+
+    def _before_frame(self) -> None:
+        app, model = self._app, self._app.model
+        if self._themed != (model.settings.theme, app.scale) or not is_scaled(app.scale):
+            if self._themed is not None and self._themed[1] != app.scale:
+                app.docks.stretch(self._themed[1], app.scale)
+            self._themed = model.settings.theme, app.scale
+            apply_theme(*self._themed)
+        app.docks.update()
+        if app.clock is time.perf_counter:
+            self._picture_frames.show()
+            # drawing just before the next slot is due would delay it
+            time.sleep(min(model.playback.rest(app.clock()), _LONGEST_REST))
+        model.update(app.clock(), app.canvas)
+        if model.contents.layers is not self._layers_known:
+            self._layers_known = model.contents.layers
+            commands.register_layers(app)
+        by_hand = None if app.stack.covers else flight(model)
+        model.flights.steer(app.steering if app.steering and model.flying else by_hand, app.clock())
+        if (told := model.pointing.picked) not in (None, self._told) and app.docks.panel("Inspector").is_visible:
+            app.docks.show("Inspector")
+        self._told = told
+        self._params.fps_idling.enable_idling = self._may_idle and not model.at_work
+        self._params.app_shall_exit |= app.closing
+
+    def _before_exit(self) -> None:
+        import glfw
+        from imgui_bundle import glfw_utils
+
+        model = self._app.model
+        model.engine.wake = lambda: None
+        model.settings.panels = self._app.docks.remembered
+        window: Any = glfw_utils.glfw_window_hello_imgui()
+        width, height = (round(side / content_scale()) for side in glfw.get_window_size(window))
+        model.remember((width, height))
+        model.close()
+
+    def _windows(self) -> None:
+        app = self._app
+        taken = FLIGHT_KEYS if app.model.flying else frozenset()
+        if refused := dispatch(app.actions, taken, app.stack.covers):
+            app.model.say(refused)
+        app.open_given()
+        app.stack.draw()
+        status.progress(app)
+        status.messages(app)
+        self._picture_frames.look_for_input()
+        if app.on_frame is not None:
+            app.on_frame(app)
+
+
+# ---- keyboard and mouse --------------------------------------------------------------------------------------------
+
+FLIGHT_KEYS = frozenset("WASDQE")
+_TURN = 0.25  # degrees per pixel of mouse
+
+_MODIFIERS = {name: getattr(imgui.Key, f"mod_{name.lower()}") for name in ("Ctrl", "Shift", "Alt", "Super")}
+_KEYS = {getattr(imgui.Key, attribute): name for attribute, name in IMGUI_KEYS.items() if hasattr(imgui.Key, attribute)}
+
+
+def dispatch(actions: Actions, taken: frozenset[str] = frozenset(), covered: bool = False) -> str | None:
+    """Run the actions of pressed keys, and end those of released keys. Keys in `taken` have another function now.
+    While a window is open over the panels (`covered`) or text is typed, only actions that work anywhere run. Returns
+    why the action of a pressed key cannot run, None without one."""
+    io = imgui.get_io()
+    covered |= io.want_text_input
+    if covered or io.app_focus_lost:
+        actions.release_all()
+    modifiers = frozenset(name for name, key in _MODIFIERS.items() if _is_or_was_down(key))
+    if io.app_focus_lost or (io.want_text_input and not modifiers - {"Shift"}):
+        return None
+    refused = None
+    for key, name in _KEYS.items():
+        if name in taken and not modifiers - {"Shift"}:
+            continue
+        if imgui.is_key_pressed(key, False):
+            actions.dispatch(modifiers, name, covered=covered)
+            refused = actions.last_refusal or refused
+        elif imgui.is_key_pressed(key, True):
+            actions.dispatch(modifiers, name, repeated=True, covered=covered)
+        if imgui.is_key_released(key):
+            actions.release(name)
+    return refused
+
+
+def _is_or_was_down(key: imgui.Key) -> bool:
+    """Return whether a modifier is down, or was let go in this frame: where frames are long, that is after the key that
+    was pressed with it."""
+    return imgui.is_key_down(key) or imgui.is_key_released(key)
+
+
+def flight(model: Model) -> Flight | None:
+    """Return the steering of the camera now; None while it is not flown."""
+    io = imgui.get_io()
+    if not model.flying or io.want_text_input:
+        return None
+
+    def held(positive, negative):
+        return float(imgui.is_key_down(positive)) - float(imgui.is_key_down(negative))
+
+    key = imgui.Key
+    move = (held(key.d, key.a), held(key.e, key.q), held(key.w, key.s))
+    turning = imgui.is_mouse_down(imgui.MouseButton_.right)
+    dx, dy = (io.mouse_delta.x, io.mouse_delta.y) if turning else (0.0, 0.0)
+    return Flight(move, 4.0 if io.key_shift else 1.0, _TURN * dx, _TURN * dy)
+
+
+# ---- frames of the picture alone ----------------------------------------------------------------------------------
+
+_INTERFACE = 1 / 12  # seconds between frames of the whole interface
+_AFTER_INPUT = 0.3  # seconds in which the whole interface follows keys and mouse
+
+
+class PictureFrames:
+    """Drawing of the picture alone, between two frames of the interface.
+
+    It is used only where a CPU draws the window (Mesa's llvmpipe). There the interface costs more than the picture, and
+    a swap of buffers keeps the window's contents, which other drivers do not promise. After input from keyboard or
+    mouse every frame draws the whole interface.
+    """
+
+    def __init__(self, app: App):
+        self._app = app
+        self._allowed = False
+        self._drawn_at = self._input_at = 0.0
+
+    def look_for_input(self) -> None:
+        """Note input from keyboard and mouse. Call within a frame of the interface."""
+        io = imgui.get_io()
+        moved = io.mouse_delta.x or io.mouse_delta.y or io.mouse_wheel or io.mouse_wheel_h
+        if moved or imgui.is_any_mouse_down() or imgui.is_any_item_active() or io.key_mods or io.want_text_input:
+            self._input_at = self._app.clock()
+
+    def allow(self, covered: bool) -> None:
+        """Decide whether frames of the picture alone may follow. Call when a frame of the interface is drawn.
+        `covered`: whether a window lies over the panels."""
+        app, io = self._app, imgui.get_io()
+        self._drawn_at = now = app.clock()
+        scaled = io.display_framebuffer_scale.x != 1.0 or io.display_framebuffer_scale.y != 1.0
+        self._allowed = (
+            app.spot is not None
+            and "llvmpipe" in app.canvas.ctx.info["GL_RENDERER"]
+            and app.model.playback.playing
+            and not (scaled or covered)
+            and (app.spot.hovered or not imgui.is_any_item_hovered())  # tooltips may reach over the picture
+            and now - self._input_at > _AFTER_INPUT
+        )
+
+    def show(self) -> None:
+        """Continue playback until the interface is due or playback stops."""
+        app = self._app
+        while self._allowed:
+            rest = app.model.playback.rest(app.clock())
+            if app.clock() + rest > self._drawn_at + _INTERFACE:
+                return
+            time.sleep(rest)
+            before = app.model.contents.changes
+            app.model.update(app.clock(), app.canvas)
+            if not app.model.playback.playing:
+                return
+            if app.model.contents.changes == before:
+                time.sleep(0.001)
+                continue
+            self._draw()
+
+    def _draw(self) -> None:
+        import glfw
+        from imgui_bundle import glfw_utils
+
+        spot, canvas = self._app.spot, self._app.canvas
+        assert spot is not None
+        canvas.draw_into(
+            canvas.ctx.detect_framebuffer(0), spot.view, spot.origin, spot.size, uncovered(spot.size, spot.covers)
+        )
+        window: Any = glfw_utils.glfw_window_hello_imgui()
+        glfw.swap_buffers(window)
+
+
+def uncovered(size: tuple[int, int], covers: list[Rectangle]) -> Iterator[Rectangle]:
+    """Yield rectangles that together are the image of `size` without `covers`."""
+    width, height = size
+    edges = sorted({0, height, *(min(max(y, 0), height) for cover in covers for y in cover[1::2])})
+    for top, bottom in zip(edges, edges[1:], strict=False):
+        left = 0
+        for cover in sorted(covers):
+            if cover[1] < bottom and top < cover[3] and cover[2] > left:
+                if cover[0] > left:
+                    yield left, top, min(cover[0], width), bottom
+                left = cover[2]
+        if left < width:
+            yield left, top, width, bottom
