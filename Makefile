@@ -36,7 +36,7 @@ quality: $(VENV)/.installed-for-tests
 recorded: $(VENV)/.installed-for-tests $(if $(PICTURES),$(VENV)/.installed-for-examples)
 	$(VENV)/bin/python docs/tools/record_selftest.py
 	$(VENV)/bin/python tests/test_recorded_sequences.py
-	$(VENV)/bin/gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json
+	$(VENV)/bin/python docs/tools/count_traffic.py --lanes 1,8 --write
 	test -z "$(GFFE_GPU_COMPILERS)" || $(VENV)/bin/python docs/tools/gpu_compilers.py
 ifdef PICTURES
 	$(VENV)/bin/python docs/tools/measure_deviations.py --write

@@ -18,6 +18,10 @@ GONE: dict[str, str] = {
     "gffe view --last": "gffe_cl.record(pipeline, folder, most=…) in the program, and `gffe view FOLDER` beside it.",
     "gffe view --measure": "the panel *Timings* shows what frames take, `gffe bench` what each stage costs.",
     "gffe view --json": "`gffe bench --json FILE` has the times of each stage.",
+    "gffe bench --host": "docs/tools/compare_speed.py --host times the calling thread.",
+    "gffe bench --lanes": "docs/tools/count_traffic.py --lanes counts both forms of the kernels.",
+    "gffe bench --methods": "gffe eval measures time and quality of methods.",
+    "gffe bench --traffic": "docs/tools/count_traffic.py counts bytes and instructions.",
 }
 
 

@@ -4,7 +4,8 @@
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
     python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
-    python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread
+    python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread, for
+                                                                             each way in which frames come
     python docs/tools/compare_speed.py --preset performance                  with the options of a preset
     python docs/tools/compare_speed.py --old COMMIT --new FOLDER             a commit or a checkout's folder each
 
@@ -50,15 +51,18 @@ PARTS = {
     "network copies": "SCN, network",
 }
 CLOCKS = ("wall time", "CPU time")
+# Ways in which frames come: NumPy arrays, rings of so many sets of device buffers, and new buffers every time.
+HOST = ("arrays", "ring of 2", "ring of 3", "new buffers")
 BUSY = 1.15  # wall time : CPU time from which a warning is printed
 
 
 # ---- one version, in a process of its own ------------------------------------------------------------------
 
 
-def serve(footage: Path, device: str, scn: bool, host: bool, preset: str | None) -> None:
-    """Time the frames that standard input asks for, a line of JSON each. With `host`, the device is idle before each
-    call, so that no call waits, and the calling thread's processor time is told; nobody asks for times of stages."""
+def serve(footage: Path, device: str, scn: bool, host: str | None, preset: str | None) -> None:
+    """Time the frames that standard input asks for, a line of JSON each. With `host`, one of HOST, the device is idle
+    before each call, so that no call waits, and the calling thread's processor time is told, without those of
+    stages."""
     replies = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # output of drivers
     import pyopencl as cl
@@ -69,10 +73,27 @@ def serve(footage: Path, device: str, scn: bool, host: bool, preset: str | None)
     opened = gffe.open_device(device, **asks)
     about = json.loads((footage / "about.json").read_text())
     flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
-    frames = [
-        [cl.Buffer(opened.context, flags, hostbuf=np.load(footage / f"{name}_{k}.npy")) for name in about["arrays"]]
-        for k in range(len(about["cameras"]))
-    ]
+    arrays = [[np.load(footage / f"{name}_{k}.npy") for name in about["arrays"]] for k in range(len(about["cameras"]))]
+
+    def buffers(given: list[np.ndarray]) -> list:
+        return [cl.Buffer(opened.context, flags, hostbuf=array) for array in given]
+
+    frames = [buffers(given) for given in arrays]  # on the device
+    ring = [buffers(arrays[0]) for _ in range(int(host.split()[-1]))] if host and host.startswith("ring") else []
+
+    def came(index: int) -> list:
+        """Return the arrays or buffers of a frame, in the way that `host` names."""
+        if host == "arrays":
+            return arrays[index]
+        if host == "new buffers":
+            return buffers(arrays[index])
+        if not ring:
+            return frames[index]
+        ring.append(ring.pop(0))  # the one after the last
+        for buffer, array in zip(ring[-1], arrays[index], strict=True):
+            cl.enqueue_copy(opened.queue, buffer, array)
+        return ring[-1]
+
     options = gffe.Options.preset(preset or "balanced", shading_correction=scn)
     pipeline = gffe.Pipeline(opened, about["width"], about["height"], options)
     pipeline.exposure = about["exposure"]
@@ -85,7 +106,7 @@ def serve(footage: Path, device: str, scn: bool, host: bool, preset: str | None)
         asked = json.loads(line)
         camera = gffe.Camera(**about["cameras"][asked["index"]])
         target = about["targets"][asked["index"]]
-        frame = gffe.RenderedFrame(*frames[asked["index"]], camera, asked["time"], reset=asked["reset"])
+        frame = gffe.RenderedFrame(*came(asked["index"]), camera, asked["time"], reset=asked["reset"])
         seen_by = target and gffe.Camera(**target)
         opened.queue.finish()
         wall, cpu, calling = time.perf_counter(), time.process_time(), -time.thread_time()
@@ -210,7 +231,8 @@ def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, re
     )
     shared = [part for part in old if old[part] and new.get(part)]
     ratio = {part: statistics.median(a[part] / max(b[part], 1e-6) for a, b in turns) for part in shared}
-    named = {"of": footage.name, "width": footage.width, "height": footage.height, "device": versions[1].device}
+    way = f", {flags[flags.index('--host') + 1]}" if "--host" in flags else ""
+    named = {"of": footage.name + way, "width": footage.width, "height": footage.height, "device": versions[1].device}
     return named | {"old": old, "new": new, "ratio": ratio}
 
 
@@ -245,7 +267,9 @@ def main() -> None:
     parser.add_argument("--repeats", type=int, default=16, help="counted pairs of frames")
     parser.add_argument("--frame", type=int, help="which rendered frame; default: the bench's")
     parser.add_argument("--scn", action="store_true", help="with the shading correction network")
-    parser.add_argument("--host", action="store_true", help="processor time of the calling thread instead of stages")
+    parser.add_argument(
+        "--host", nargs="?", const="all", choices=("all", *HOST), help="processor time of the calling thread alone"
+    )
     parser.add_argument("--preset", help="balanced (the default), quality or performance")
     parser.add_argument("--device", action="append", help="intel, pocl, …; may be repeated; default: the best one")
     parser.add_argument("--json", type=Path)
@@ -256,7 +280,7 @@ def main() -> None:
         return
 
     from gffe_cl.engine.opencl.device import open_device
-    from gffe_cl.lab.bench.footage import SCENE, loop_of
+    from gffe_cl.lab.bench import SCENE, loop_of
 
     width, height = (int(n) for n in asked.size.split("x"))
     reports = []
@@ -268,11 +292,12 @@ def main() -> None:
             device = open_device(name)
             footage = loop_of(device, subject, (width, height), asked.frame)
             place = folder / f"footage_{number}"
-            flags = [flag for flag, is_set in (("--scn", asked.scn), ("--host", asked.host)) if is_set]
-            flags += ["--preset", asked.preset] if asked.preset else []
-            reports.append(compare(footage, place, trees, device.info.index, asked.repeats, flags))
-            show(reports[-1])
-            shutil.rmtree(place)
+            flags = ["--scn"] * asked.scn + (["--preset", asked.preset] if asked.preset else [])
+            for way in HOST if asked.host == "all" else [asked.host]:
+                more = ["--host", way] if way else []
+                reports.append(compare(footage, place, trees, device.info.index, asked.repeats, flags + more))
+                show(reports[-1])
+                shutil.rmtree(place)
     if asked.json:
         document = {"old": called(asked.old), "new": called(asked.new), "of": reports}
         asked.json.write_text(json.dumps(rounded(document), indent=1) + "\n")

@@ -2,7 +2,7 @@
 
     python docs/tools/make_performance.py
 
-What kernels load and store is recorded by `gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json`.
+What kernels load and store is recorded by `python docs/tools/count_traffic.py --lanes 1,8 --write`.
 """
 
 from __future__ import annotations

@@ -2,9 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import asdict, astuple, dataclass
-from pathlib import Path
+from dataclasses import asdict
 from typing import TYPE_CHECKING, Annotated
 
 import typer
@@ -25,11 +23,9 @@ from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:
-    from gffe_cl.engine.opencl.device import Device, DeviceInfo
+    from gffe_cl.engine.opencl.device import DeviceInfo
     from gffe_cl.engine.options import Options
     from gffe_cl.engine.timing.bench import SizeBench
-    from gffe_cl.engine.timing.footage import FrameLoop
-    from gffe_cl.lab.bench.counting import KernelTraffic
 
 _SIZES = "960x540,1280x720,1920x1080,3840x2160"
 
@@ -57,25 +53,6 @@ def bench(
     kernels: Annotated[
         bool, typer.Option("--kernels", help="Kernel times: also print the time of every kernel.")
     ] = False,
-    traffic: Annotated[
-        bool,
-        typer.Option(
-            "--traffic",
-            help="Memory traffic: count with Oclgrind the bytes that each kernel loads and stores, instead of timing"
-            " [dim](default size: 1920x1080)[/].",
-        ),
-    ] = False,
-    host: Annotated[
-        bool,
-        typer.Option(
-            "--host",
-            help="Host cost: processor time of the calling thread in submit and extrapolate"
-            " [dim](default size: 320x180, where kernels are short)[/].",
-        ),
-    ] = False,
-    lanes: Annotated[
-        str, typer.Option(help="Pixels per work-item that --traffic counts: 1 as on GPUs, 8 as on CPUs, or 1,8.")
-    ] = "1",
     device: Annotated[
         str | None, typer.Option("--device", help="OpenCL device to time [dim](default: every device that works)[/].")
     ] = None,
@@ -84,123 +61,40 @@ def bench(
     *,
     options: Options,
 ) -> None:
-    """Time every stage, in milliseconds and in bytes per pixel, and compare with the paper's table."""
+    """Time every stage, in milliseconds and in bytes per pixel, and every preset; compare with the paper's table."""
     from gffe_cl.engine.opencl.device import list_devices, open_device, open_info
+    from gffe_cl.engine.timing.bench import PAPER, Copier, bench_size, growth
+    from gffe_cl.lab.bench import is_sequence, loop_of
 
     if repeats < 1:
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
     parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
-    if traffic:
-        on = open_device(device, profiling=True)
-        _bench_traffic(on, subject, parsed, frame, _parse_lanes(lanes), options, json_path)
-        return
     if device is None:
         opened = [open_info(info, profiling=True) for info in list_devices() if info.works] or [open_device()]
     else:
         opened = [open_device(device, profiling=True)]
-    asked = _Asked(opened, subject, parsed, frame, repeats, options)
-    write_json(json_path, _bench_host(asked) if host else _bench_times(asked, kernels))
-
-
-@dataclass(frozen=True)
-class _Asked:
-    """The frames to measure, on each of the devices; `sizes` is None for the default ones."""
-
-    devices: list[Device]
-    subject: str | None
-    sizes: list[tuple[int, int]] | None
-    frame: int | None
-    repeats: int
-    options: Options
-
-    def sizes_or(self, *default: tuple[int, int]) -> Sequence[tuple[int, int] | None]:
-        """Return the sizes to measure; None is a sequence's own."""
-        from gffe_cl.lab.bench.footage import is_sequence
-
-        return self.sizes or ([None] if is_sequence(self.subject) else default)
-
-    def loop(self, device: Device, size: tuple[int, int] | None, upscale: float = 0.0) -> FrameLoop:
-        from gffe_cl.lab.bench.footage import loop_of
-
-        return loop_of(device, self.subject, size, self.frame, upscale)
+    of_sequence = parsed is None and is_sequence(subject)  # at its own size
+    chosen = [None] if of_sequence else parsed or [parse_size(text) for text in _SIZES.split(",")]
+    report = []
+    for one in opened:
+        results, name = [], ""
+        with progress_bars() as progress:
+            advance = steps(progress)(_label(one.info), len(chosen) * repeats)
+            copier = Copier(one)
+            for size in chosen:
+                loop = loop_of(one, subject, size, frame, options.upscale)
+                results.append(bench_size(one, copier, loop, options, repeats, advance))
+                name = loop.name
+        _print_bench(one.info, name, results)
+        if kernels:
+            _print_kernels(results)
+        named = {"device": one.info.name, "platform": one.info.platform, "of": name, "copied by": copier.way}
+        report.append(named | {"growth": growth(results), "sizes": [asdict(r) for r in results]})
+    write_json(json_path, {"devices": report, "paper": PAPER})
 
 
 def _label(info: DeviceInfo) -> str:
     return f"{info.name} ({info.platform})"
-
-
-def _named(info: DeviceInfo) -> dict[str, str]:
-    return {"device": info.name, "platform": info.platform}
-
-
-def _bench_times(asked: _Asked, kernels: bool) -> dict:
-    from gffe_cl.engine.timing.bench import PAPER, Copier, bench_size, growth
-
-    sizes, report = asked.sizes_or(*map(parse_size, _SIZES.split(","))), []
-    for device in asked.devices:
-        results, name = [], ""
-        with progress_bars() as progress:
-            advance = steps(progress)(_label(device.info), len(sizes) * asked.repeats)
-            copier = Copier(device)
-            for size in sizes:
-                loop = asked.loop(device, size, asked.options.upscale)
-                results.append(bench_size(device, copier, loop, asked.options, asked.repeats, advance))
-                name = loop.name
-        _print_bench(device.info, name, results)
-        if kernels:
-            _print_kernels(results)
-        figures = {"of": name, "growth": growth(results), "sizes": [asdict(r) for r in results]}
-        report.append(_named(device.info) | {"copied by": copier.way} | figures)
-    return {"devices": report, "paper": PAPER}
-
-
-def _bench_host(asked: _Asked) -> dict:
-    from gffe_cl.lab.bench.host_times import SIZE, measure_host
-
-    report = []
-    table = Table("device", "size", "submit, ms", "extrapolate, ms", "both, ms", box=None, header_style="bold")
-    for device in asked.devices:
-        results = []
-        for size in asked.sizes_or(SIZE):
-            loop = asked.loop(device, size)
-            with progress_bars() as progress:
-                advance = steps(progress)(_label(device.info), asked.repeats)
-                results.append(measure_host(device, loop, asked.options, asked.repeats, advance))
-        for result in results:
-            times = (f"{milliseconds:.3f}" for milliseconds in (result.submit, result.extrapolate, result.sum))
-            table.add_row(plain(device.info.platform), f"{result.width}×{result.height}", *times)
-        figures = {"repeats": asked.repeats, "sizes": [asdict(result) for result in results]}
-        report.append(_named(device.info) | figures)
-    out.print(table)
-    return {"devices": report}
-
-
-def _bench_traffic(
-    device: Device,
-    subject: str | None,
-    sizes: list[tuple[int, int]] | None,
-    frame: int | None,
-    lanes: list[int],
-    options: Options,
-    json_path: Path | None,
-) -> None:
-    from gffe_cl.lab.bench.counting import SIZE, count, report
-    from gffe_cl.lab.bench.footage import loop_of
-
-    if sizes and len(sizes) > 1:
-        raise GffeError(f"--traffic takes one size, got {len(sizes)}")
-    loop = loop_of(device, subject, sizes[0] if sizes else SIZE, frame)
-    counted = {n: count(loop, options, n) for n in lanes}
-    for n, kernels in counted.items():
-        _print_traffic(loop, n, kernels)
-    write_json(json_path, report(counted, loop))
-
-
-def _parse_lanes(text: str) -> list[int]:
-    lanes = text.split(",")
-    if not set(lanes) <= {"1", "8"}:
-        raise GffeError(f"--lanes must be 1, 8 or 1,8, got '{text}'")
-    return [int(n) for n in lanes]
 
 
 def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
@@ -244,19 +138,3 @@ def _print_kernels(results: list[SizeBench]) -> None:
     for name in results[0].kernels:
         table.add_row(name, *(f"{r.kernels.get(name, 0):.2f}" for r in results))
     out.print(table)
-
-
-def _print_traffic(loop: FrameLoop, lanes: int, kernels: dict[str, KernelTraffic]) -> None:
-    from gffe_cl.engine.timing.parts import group
-
-    form = "one pixel per work-item, as on GPUs" if lanes == 1 else f"{lanes} pixels per work-item, as on CPUs"
-    title = plain(f"{loop.name}, a part of {loop.width}×{loop.height}, {form}")
-    heads = ("bytes loaded", "bytes stored", "instructions")
-    table = Table("per pixel", *heads, title=title, box=None, header_style="bold")
-    gae = {name: moved for name, moved in kernels.items() if group(name.partition(".")[0]) == "GAE"}
-    for name, moved in kernels.items():
-        table.add_row(name, *(f"{n:.1f}" for n in astuple(moved)))
-    sums = map(sum, zip(*map(astuple, gae.values()), strict=True))
-    table.add_row("GAE", *(f"{n:.1f}" for n in sums), style="bold")
-    out.print(table)
-    out.print("Counted by Oclgrind: bytes without caches, and instructions of LLVM that compute or reach memory.")

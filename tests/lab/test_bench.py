@@ -1,8 +1,6 @@
-"""What frames cost: footage, times, and the traffic that Oclgrind counts."""
+"""What frames cost: footage and times."""
 
 import json
-import os
-import shutil
 import subprocess
 import sys
 from dataclasses import replace
@@ -19,17 +17,11 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.outputs import STAGES
-from gffe_cl.engine.stages.holes import FILLINGS
 from gffe_cl.engine.timing import bench as bench_module
 from gffe_cl.engine.timing import footage as timed_footage
-from gffe_cl.lab.bench import counting
-from gffe_cl.lab.bench import footage as inputs
+from gffe_cl.lab import bench as inputs
 
 ROOT = Path(__file__).parents[2]
-TABLE = ROOT / "docs" / "measured" / "traffic.json"
-RECORD = "gffe bench --traffic --lanes 1,8 --json docs/measured/traffic.json && python docs/tools/make_performance.py"
 
 
 def test_bench(gffe, tmp_path):
@@ -104,20 +96,12 @@ def test_bench_of_a_sequence(gffe, tmp_path):
     [
         (("nosuch",), "nosuch: no such folder"),
         (("--frame", 0), "--frame must be at least 1"),
-        (("--traffic", "--lanes", 3), "--lanes must be 1, 8 or 1,8"),
-        (("--traffic", "--sizes", "64x48,32x24"), "--traffic takes one size"),
         (("--repeats", 0), "--repeats must be at least 1"),
     ],
 )
 def test_bench_refuses(gffe, options, complaint):
     code, _, err = gffe("bench", *options)
     assert code == 2 and complaint in err and len(err.splitlines()) == 1
-
-
-def test_traffic_needs_oclgrind(gffe, monkeypatch):
-    monkeypatch.setattr(counting.shutil, "which", lambda name: None)
-    code, _, err = gffe("bench", "--traffic", "--sizes", "16x9")
-    assert code == 2 and "oclgrind, which is not installed" in err and len(err.splitlines()) == 1
 
 
 def test_growth():
@@ -222,74 +206,6 @@ def test_enlarging_keeps_the_sky_and_bad_pixels():
     assert not large.motion.any() and inputs.enlarged(frame, 1, 1).depth.shape == (1, 1)
 
 
-# ---- traffic ---------------------------------------------------------------------------------------------------
-
-PRINTED = """
-Instructions executed for kernel 'splat':
-            2048 - getelementptr
-            1024 - load global (4096 bytes)
-             512 - load private (512 bytes)
-             256 - store global (1024 bytes)
-             100 - call _Z11vload_half4mPU3AS1KDh()
-              10 - call _Z16vstore_half4_rteDv4_fmPU3AS1Dh()
-               7 - call _Z6vload8mPU3AS1Kf()
-               5 - call _Z7vstore8Dv8_fmPU3AS1f()
-               3 - call _Z8atom_minPU3AS1Vmm()
-               2 - call _Z10vload_halfmPU3AS1KDh()
-               1 - call _Z6vload4mPU3AS3Kf()
-               1 - call _Z10atomic_incPU3AS1Vj()
-               1 - call llvm.memcpy.p1i8.p0i8.i64()
-
-Instructions executed for kernel 'set_frame':
-               1 - call llvm.memcpy.p1i8.p0i8.i64()
-
-Instructions executed for kernel 'clear':
-             512 - store global (2048 bytes)
-"""
-
-
-def test_counts_are_parsed():
-    loaded = 4096 + 100 * 8 + 7 * 32 + 3 * 8 + 2 * 2 + 4
-    stored = 1024 + 10 * 8 + 5 * 32 + 3 * 8 + 4
-    executed = 1024 + 256 + 100 + 10 + 7 + 5 + 3 + 2 + 1 + 1 + 1  # neither addresses nor private memory
-    assert list(counting.parse_counts(PRINTED)) == [("splat", loaded, stored, executed), ("clear", 0, 2048, 512)]
-    with pytest.raises(GffeError, match="how many bytes"):
-        list(counting.parse_counts(PRINTED + "   3 - call _Z21async_work_group_copyPU3AS3fPU3AS1Kfm9ocl_event()"))
-
-
-def test_growth_of_traffic_is_named():
-    def report(**loaded):
-        kernels = {name: {"loaded": n, "stored": 10.0} for name, n in loaded.items()}
-        return {"lanes": {"1": kernels}}
-
-    assert counting.grown(report(a=90.0, b=5.0), report(a=94.0, b=2.0)) == []
-    (found,) = counting.grown(report(a=90.0), report(a=96.0))
-    assert found == "a, LANES=1: 106.0 bytes per pixel loaded and stored, 100.0 are in the table"
-    (found,) = counting.grown(report(), report(a=1.0))
-    assert "11.0 bytes" in found and "is not in the table" in found
-
-
-def test_kernels_are_told_by_their_names():
-    """Oclgrind prints names of kernels, not of their files."""
-    for filling in FILLINGS.values():
-        stages = [stage for stage in STAGES if stage.name != "holes"] + ([filling] if filling else [])
-        names = [kernel.name for stage in stages for kernel in stage.kernels]
-        assert len(names) == len(set(names))
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("lanes", [1, 8])
-def test_traffic_does_not_grow(lanes):
-    if shutil.which("oclgrind") is None:
-        assert not os.environ.get("CI"), "CI must have oclgrind"
-        pytest.skip("oclgrind is not installed")
-    table = json.loads(TABLE.read_text())
-    shown = inputs.scene_loop(open_device(), table["of"], *table["size"])
-    now = counting.report({lanes: counting.count(shown, Options(), lanes)}, shown)
-    found = counting.grown(table, now)
-    assert not found, "\n".join([*found, f"If that is meant to be: {RECORD}"])
-
-
 # ---- scripts of the documentation ------------------------------------------------------------------------------
 
 
@@ -303,3 +219,16 @@ def test_versions_are_compared(tmp_path):
     assert child.returncode == 0 and "GAE" in child.stdout, child.stderr[-2000:]
     (one,) = json.loads((tmp_path / "c.json").read_text())["of"]
     assert one["ratio"]["GAE"] > 0 and set(one["old"]) == set(one["new"]) >= {"GAE", "wall time", "CPU time"}
+
+
+@pytest.mark.slow
+def test_the_calling_thread_is_timed_in_each_way(tmp_path):
+    """NumPy frames, rings of two and three sets of device buffers, and new buffers every time."""
+    script = [sys.executable, str(ROOT / "docs" / "tools" / "compare_speed.py"), "--old", str(ROOT), "--size", "64x48"]
+    options = ["--host", "--repeats", "2", "--json", str(tmp_path / "c.json")]
+    child = subprocess.run([*script, *options], capture_output=True, text=True, timeout=300)
+    assert child.returncode == 0, child.stderr[-2000:]
+    found = json.loads((tmp_path / "c.json").read_text())["of"]
+    ways = ("arrays", "ring of 2", "ring of 3", "new buffers")
+    assert [one["of"] for one in found] == [f"plaza, {way}" for way in ways]
+    assert all(one["new"]["host"] > 0 and one["ratio"]["host"] > 0 for one in found)

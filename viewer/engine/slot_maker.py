@@ -39,7 +39,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.upload import Upload
-from gffe_cl.engine.timing.parts import memory
+from gffe_cl.engine.timing.bench import memory
 from gffe_cl.lab.metrics import focus_mask
 from .invalid import Invalid, fault_at, invalid_pixels, seen_at, seen_through
 from .messages import Frame, Interrupted, Key, Recipe

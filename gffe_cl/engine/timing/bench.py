@@ -29,7 +29,6 @@ from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.memory import NoRoomError
 from gffe_cl.engine.stages.presentation import Presentation
-from gffe_cl.engine.timing import parts as tables
 from gffe_cl.engine.timing.footage import FrameLoop, Turn
 
 # Bytes per pixel of the paper's table at 1080p (RTX 4070 Ti Super, 672 GB/s), by our parts. The paper's own sum for GAE
@@ -58,6 +57,17 @@ PAPER = {
     "SCN, network": None,
     "SCN, copies": None,
     "SCN": 745,
+}
+# Parts of shading correction by stage.
+SCN = {
+    "shading_trend": "SCN, trend",
+    "shading": "SCN, inputs",
+    "network_input": "SCN, inputs",
+    "shading_flow": "SCN, flow",
+    "convolutions": "SCN, convolutions",
+    "correction": "SCN, kernels",
+    "network": "SCN, network",
+    "network copies": "SCN, copies",
 }
 _COPY_BYTES = 256 << 20
 _COPY_RUN = 64
@@ -162,7 +172,7 @@ def bench_size(
     bandwidth = statistics.median(samples.bandwidths)
     milliseconds = samples.medians()
     pixels = loop.width * loop.height
-    by_stage, allocated = tables.memory(pipeline), device.allocated - before
+    by_stage, allocated = memory(pipeline), device.allocated - before
     network = getattr(pipeline.stages.get(ShadingCorrection.name), "network", None)
     frames = KEPT_BYTES_PER_PIXEL * math.prod(loop.render_size or (loop.width, loop.height))
     return SizeBench(
@@ -174,7 +184,7 @@ def bench_size(
         presets=_preset_times(device, loop, options, repeats),
         bandwidth=bandwidth,
         memory=allocated + frames,
-        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if tables.group(name) == "GAE"),
+        memory_gae=frames + sum(nbytes for name, nbytes in by_stage.items() if group(name) == "GAE"),
         memory_by_stage=by_stage,
         kernels={name: statistics.median(taken) for name, taken in samples.kernels.items()},
         commands=samples.commands,
@@ -238,9 +248,9 @@ def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Sampl
             for kernel, event in done:
                 ms = (event.profile.end - event.profile.start) * 1e-6
                 kernels[f"{stage}.{kernel}"] += ms
-                parts[tables.part(stage, when)] += ms
-                commands[tables.group(stage)] += 1
-    parts |= {tables.SCN[name]: milliseconds for name, milliseconds in network.items()}
+                parts[part(stage, when)] += ms
+                commands[group(stage)] += 1
+    parts |= {SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
         for name, milliseconds in taken.items():
             into[name].append(milliseconds)
@@ -252,7 +262,7 @@ def _with_sums(parts: dict[str, float]) -> dict[str, float]:
     """Return the parts in order, with sums: those of GAE in the paper's order, "GAE", "misc", upscaling, those of SCN,
     "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
-    scn = {name: value for name, value in parts.items() if name in tables.SCN.values()}
+    scn = {name: value for name, value in parts.items() if name in SCN.values()}
     apart = {name: value for name, value in parts.items() if name == "misc" or name == "upscaling"}
     gae = {name: value for name, value in parts.items() if name not in scn and name not in apart}
     return gae | {"GAE": math.fsum(gae.values())} | apart | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
@@ -276,3 +286,22 @@ def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
     device.queue.finish()
     taken = milliseconds_of(presentation.board.commands.take_events())
     return host + sum(taken[presentation.name].values())
+
+
+def group(stage: str) -> str:
+    """Return the group of a stage in tables: "GAE", "SCN" or "upscaling"."""
+    return "SCN" if stage in SCN else "upscaling" if stage == "upscaling" else "GAE"
+
+
+def part(stage: str, when: str) -> str:
+    """Return the name in tables of a stage's work after `submit` ("rendered") or in `extrapolate` ("extrapolated")."""
+    if stage == "background":
+        return f"background, {'collection' if when == 'rendered' else 'projection'}"
+    return SCN.get(stage, stage)
+
+
+def memory(pipeline: Pipeline) -> dict[str, int]:
+    """Return bytes of device memory by stage, and "frame" for the extrapolated frame; rendered frames apart."""
+    board = pipeline.board
+    owners = {"frame": board.frame, board.blocks.name: board.blocks} | pipeline.stages
+    return {name: owner.nbytes for name, owner in owners.items()}

@@ -200,7 +200,7 @@ def test_commands_take_it(tmp_path, monkeypatch):
 
 def test_the_viewer_and_bench_take_it(tmp_path):
     from gffe_cl.captures.offline.source import Recorded
-    from gffe_cl.lab.bench.footage import sequence_loop
+    from gffe_cl.lab.bench import sequence_loop
     from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
 
     folder = write_blender(tmp_path, shots())

@@ -8,7 +8,7 @@ from gffe_cl.engine.opencl.program import parse_constants, parse_kernels
 from gffe_cl.engine.stages.base import Kernel, Stage
 from gffe_cl.engine.stages.commands import Commands
 from gffe_cl.engine.stages.warp import Connectivity
-from gffe_cl.engine.timing.parts import memory
+from gffe_cl.engine.timing.bench import memory
 
 W, H = 64, 48
 

@@ -1,5 +1,8 @@
-"""Counting of bytes that kernels load and store per pixel, and of instructions that they execute, by Oclgrind:
-independent of the machine (`gffe bench --traffic`).
+"""Counts the bytes that kernels load and store per pixel, and the instructions that they execute, by Oclgrind:
+independent of the machine.
+
+    python docs/tools/count_traffic.py                       of plaza, one pixel per work-item, as on GPUs
+    python docs/tools/count_traffic.py --lanes 1,8 --write   into docs/measured/traffic.json
 
 A process under Oclgrind makes a few frames of a small part of the images; the kernels of the last pair are counted.
 Caches count for nothing: a pixel that four work-items load is loaded four times. An atomic loads and stores.
@@ -7,6 +10,7 @@ Caches count for nothing: a pixel that four work-items load is loaded four times
 
 from __future__ import annotations
 
+import argparse
 import json
 import math
 import os
@@ -22,23 +26,22 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
+from pages import MEASURED
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
 from gffe_cl.engine.inference.network import SubstituteNetwork
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.shading import ShadingTrend
 from gffe_cl.engine.timing.footage import FrameLoop
+from gffe_cl.lab.bench import SCENE, scene_loop
 
 SIZE = (1920, 1080)  # pixels, by default
 PART = (192, 108)  # of which so many are counted,
 CENTER = (0.3, 0.5)  # around here: on plaza edges, movers, holes and blocks are about as frequent as in all of it
-TOLERANCE = 0.05  # by how much counted bytes may grow
-_SLACK = 0.05  # bytes per pixel that do not matter
-_NAME = "Oclgrind"
+_PLATFORM = "Oclgrind"
 _HIDDEN = ("GFFE_DEVICE", "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES")  # would choose other devices
 _KERNEL = re.compile(r"^Instructions executed for kernel '(\w+)':$")
 _COUNT = re.compile(r"^\s*(\d+) - (.*)$")
@@ -63,25 +66,21 @@ class KernelTraffic:
     stored: float
     executed: float
 
-    @property
-    def counted(self) -> float:
-        return self.loaded + self.stored
 
-
-def count(loop: FrameLoop, options: Options, lanes: int) -> dict[str, KernelTraffic]:
+def count(loop: FrameLoop, lanes: int) -> dict[str, KernelTraffic]:
     """Return the traffic by "stage.kernel" in a part of the loop (of host arrays), with so many lanes (simd.h).
     Raises GffeError if Oclgrind is missing or fails."""
     loop = loop.part(*PART, CENTER)
     command = shutil.which("oclgrind")
     if command is None:
-        raise GffeError("--traffic counts with oclgrind, which is not installed (Debian, Ubuntu: apt install oclgrind)")
+        raise GffeError("oclgrind is not installed (Debian, Ubuntu: apt install oclgrind)")
     with tempfile.TemporaryDirectory(prefix="gffe_traffic_") as temporary:
         folder = Path(temporary)
-        (folder / "asked").write_bytes(pickle.dumps((loop, asdict(options))))
+        (folder / "asked").write_bytes(pickle.dumps(loop))
         variables = {name: value for name, value in os.environ.items() if name not in _HIDDEN}
         variables |= {"GFFE_LANES": str(lanes), "PYOPENCL_NO_CACHE": "1"}
         # One thread: the order of execution, and so the result of atomics, is always the same.
-        started = [command, "--inst-counts", "--num-threads", "1", sys.executable, "-m", __name__, str(folder)]
+        started = [command, "--inst-counts", "--num-threads", "1", sys.executable, __file__, "--under", str(folder)]
         with open(folder / "counts", "w") as counts:
             child = subprocess.run(started, stdout=counts, stderr=subprocess.PIPE, text=True, env=variables)
         if child.returncode:
@@ -144,12 +143,12 @@ def _joined(launched: list, blocks: list[tuple[str, int, int, int]], pixels: int
 
 def _make(folder: Path) -> None:
     """Make the frames under Oclgrind, and write the launches of the last pair to a file, by stage, in order."""
-    loop, options = pickle.loads((folder / "asked").read_bytes())
+    loop = pickle.loads((folder / "asked").read_bytes())
     device = open_device(profiling=True)  # its commands are noted
-    if device.info.platform != _NAME:
-        raise GffeError(f"expected {_NAME}, got {device.info.platform}")
+    if device.info.platform != _PLATFORM:
+        raise GffeError(f"expected {_PLATFORM}, got {device.info.platform}")
     loop = loop.on(device)
-    pipeline = Pipeline(device, loop.width, loop.height, Options(**options))
+    pipeline = Pipeline(device, loop.width, loop.height)
     pipeline.exposure = loop.exposure
     if correction := pipeline.stages.get(ShadingCorrection.name):
         # Kernels load more or less by the focus mask, which is 0 here.
@@ -170,7 +169,7 @@ def _make(folder: Path) -> None:
 
 
 def report(by_lanes: dict[int, dict[str, KernelTraffic]], loop: FrameLoop) -> dict:
-    """Return the document that `gffe bench --traffic --json` writes and tests compare with."""
+    """Return what docs/measured/traffic.json has."""
     return {
         "of": loop.name,
         "size": [loop.width, loop.height],
@@ -184,23 +183,25 @@ def report(by_lanes: dict[int, dict[str, KernelTraffic]], loop: FrameLoop) -> di
     }
 
 
-def grown(recorded: dict, now: dict) -> list[str]:
-    """Return a sentence for each kernel that loads and stores over 5% more than recorded, or is not recorded. Both
-    arguments come from `report`."""
-    found = []
-    for lanes, kernels in now["lanes"].items():
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--scene", default=SCENE)
+    parser.add_argument("--lanes", default="1", help="pixels per work-item: 1 as on GPUs, 8 as on CPUs, or 1,8")
+    parser.add_argument("--write", action="store_true", help="record them in docs/measured/traffic.json")
+    parser.add_argument("--under", type=Path, help=argparse.SUPPRESS)
+    asked = parser.parse_args()
+    if asked.under:
+        _make(asked.under)
+        return
+    loop = scene_loop(open_device(), asked.scene, *SIZE)
+    counted = {int(lanes): count(loop, int(lanes)) for lanes in asked.lanes.split(",")}
+    for lanes, kernels in counted.items():
+        print(f"\n{f'per pixel, {lanes} a work-item':40}{'loaded':>10}{'stored':>10}{'instructions':>14}")
         for name, moved in kernels.items():
-            new, was_there = _counted(moved), recorded["lanes"].get(lanes, {}).get(name)
-            old = _counted(was_there) if was_there is not None else None
-            if old is None or new > old * (1 + TOLERANCE) + _SLACK:
-                was = "is not in the table" if old is None else f"{old:.1f} are in the table"
-                found.append(f"{name}, LANES={lanes}: {new:.1f} bytes per pixel loaded and stored, {was}")
-    return found
-
-
-def _counted(moved: dict[str, float]) -> float:
-    return moved["loaded"] + moved["stored"]
+            print(f"{name:40}{moved.loaded:10.1f}{moved.stored:10.1f}{moved.executed:14.1f}")
+    if asked.write:
+        (MEASURED / "traffic.json").write_text(json.dumps(report(counted, loop), indent=1) + "\n")
 
 
 if __name__ == "__main__":
-    _make(Path(sys.argv[1]))
+    main()

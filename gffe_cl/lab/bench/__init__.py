@@ -1,1 +1,0 @@
-"""Benchmarks of `gffe bench` beyond the times of stages."""
