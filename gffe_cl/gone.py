@@ -20,7 +20,6 @@ GONE: dict[str, str] = {
     "gffe view --json": "`gffe bench --json FILE` has the times of each stage.",
     "gffe bench --host": "docs/tools/compare_speed.py --host times the calling thread.",
     "gffe bench --lanes": "docs/tools/count_traffic.py --lanes counts both forms of the kernels.",
-    "gffe bench --methods": "gffe eval measures time and quality of methods.",
     "gffe bench --traffic": "docs/tools/count_traffic.py counts bytes and instructions.",
 }
 
