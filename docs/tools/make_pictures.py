@@ -6,7 +6,6 @@
 - `limit_*`: a part of a frame, rendered at t, extrapolated to t + ½, and the truth there.
 - `gain_*`: the part that gains most from a module beyond the paper: without it, with it, and the truth.
 - `shading`: the part that gains most from shading correction, with the network's whole image and both focus masks.
-- `situations`: of every situation, the part of its region where the paper's way is worst.
 """
 
 from __future__ import annotations
@@ -16,11 +15,10 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from measure_deviations import FOR_SITUATIONS, NO_NETWORK, PAPER, kernels_with
 from pages import PICTURES
 from PIL import Image
 from scipy.ndimage import uniform_filter
-from situation_regions import region_of_situation, submitted_frames
+from situation_regions import submitted_frames
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.opencl.device import Device, open_device
@@ -113,48 +111,28 @@ def shading_picture(device: Device):
     return contact_sheet(groups, columns=6, cell_width=264)
 
 
-def situations_picture(device: Device):
-    """Return a picture of two situations in a row."""
-    cells = []
-    for name, (_, without, region) in FOR_SITUATIONS.items():
-        frames = SceneFrames(SceneRenderer(device, load_scene(name), *SIZE))
-        with kernels_with(PAPER):
-            paper = Pipeline(device, *SIZE, replace(Options(camera_order=1), **(PAPER | NO_NETWORK).options), fps=FPS)
-        pipelines = {f"{name}: the paper's way": paper, "ours": Pipeline(device, *SIZE, Options(), fps=FPS)}
-        cells += chosen_part(frames, pipelines, 1.0, without.camera, region)[-1].items()
-    label = f"situations, t + 1, parts of {SIZE[0]} x {SIZE[1]}"
-    return contact_sheet([(label, cells)], columns=6, cell_width=256)
-
-
 def chosen_part(
     frames: SceneFrames,
     pipelines: dict[str, Pipeline],
     alpha: float,
-    camera_known: bool = True,
-    region: str | None = None,
 ):
-    """Return the part of all frames in which the second of `pipelines` gains most against the first, or the first is
-    worst in that region of a situation: number of the rendered frame, x, y, and the display values of both and of the
-    truth by name."""
+    """Return the part of all frames in which the second of `pipelines` gains most against the first: number of the
+    rendered frame, x, y, and the display values of both and of the truth by name."""
     scene = frames.scene
     for pipeline in pipelines.values():
         pipeline.exposure = scene.exposure
     best, chosen = -np.inf, None
-    for k, frame, time in submitted_frames(frames, pipelines.values(), SEARCHED, FPS, alpha):
+    for k, _, time in submitted_frames(frames, pipelines.values(), SEARCHED, FPS, alpha):
         if time is None:
             continue
-        camera = frames.display_camera(time) if camera_known else None
+        camera = frames.display_camera(time)
         shown = {
             name: to_display(p.extrapolate(camera, time).numpy("color"), scene.exposure)
             for name, p in pipelines.items()
         }
         shown["truth"] = to_display(frames.truth(time).read("color"), scene.exposure)
         errors = [np.square(shown[name] - shown["truth"]).mean(-1) for name in pipelines]
-        score = errors[0] - errors[1]
-        if region:
-            known = frame.time, frame.time - 1 / FPS
-            score = errors[0] * region_of_situation(region, frames, known, time)
-        gained = uniform_filter(score, PART[::-1], mode="constant")
+        gained = uniform_filter(errors[0] - errors[1], PART[::-1], mode="constant")
         inside = gained[PART[1] // 2 : SIZE[1] - PART[1] // 2, PART[0] // 2 : SIZE[0] - PART[0] // 2]
         y, x = np.unravel_index(inside.argmax(), inside.shape)
         if inside[y, x] > best:
@@ -203,7 +181,7 @@ def main() -> None:
     device = open_device()
     makers = {f"limit_{name}": partial(picture, device, limit) for name, limit in LIMITS.items()}
     makers |= {f"gain_{name}": partial(gain_picture, device, gain) for name, gain in GAINS.items()}
-    makers |= {"shading": partial(shading_picture, device), "situations": partial(situations_picture, device)}
+    makers |= {"shading": partial(shading_picture, device)}
     for name in sys.argv[1:] or ["demo", *makers]:
         if name == "demo":
             first, *others = film(device)

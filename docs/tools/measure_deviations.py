@@ -146,7 +146,6 @@ GAE: dict[str, Change] = {
 }
 # Beyond the paper, each a module with an option of its own.
 PARTS = ("silhouettes stay antialiased", "hidden parts of movers", "movers' acceleration goes on")
-ENTERING = Change({"entering": False})
 CARRIED = Change(constants={"acceleration.cl": {"IN_VIEW": "0.0f", "KEEPS_UP": "0.0f"}})
 CAMERA_FIXED = Change({"camera_fixed": False})  # worth something only on "cab" and "wipers"
 PAPER = CAMERA_FIXED
@@ -176,19 +175,13 @@ NO_NETWORK = Change({"shading_correction": False})
 PREDICTED = Change(camera=False)
 FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
     "bars": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
-    "railings": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
-    "entering": ("entering movers", ENTERING, "movers"),
-    "ropes": ("soft silhouettes", GAE["silhouettes stay antialiased"], "movers"),
     "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
     "rotors": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
     "handheld": ("`--camera-order auto`; 1", PREDICTED | Change({"camera_order": 1}), "all"),
     "cab": ("fixed to the camera", CAMERA_FIXED, "movers"),
     "wipers": ("what the camera carries", CARRIED, "movers"),
-    "lamps": ("network", NO_NETWORK, "light"),
     "shadows": ("network", NO_NETWORK, "light"),
     "fan": ("network", NO_NETWORK, "light"),
-    "screen": ("network", NO_NETWORK, "light"),
-    "quantized": ("ε from the data; ¼ px", Change({"static_threshold": 0.25}), "still"),
 }
 
 

@@ -1,6 +1,6 @@
 """Frames of scenes, and regions of situations: where the thing that a situation holds is seen, by the renderer.
 
-`measure_deviations.py` and `make_pictures.py` use these.
+`measure_deviations.py` uses these.
 """
 
 from __future__ import annotations
@@ -22,7 +22,7 @@ CHANGED = 0.02  # least change by light, display values, mean over R, G and B
 
 def region_of_situation(kind: str, frames: SceneFrames, known: tuple[float, ...], time: float) -> np.ndarray:
     """Return (H, W) bool: where, at `time`, something that moves by itself is seen or within `BESIDE` px ("movers");
-    where it is not ("still"); where something still was lit otherwise at one of the `known` times ("light"); or
+    where something still was lit otherwise at one of the `known` times ("light"); or
     everything ("all")."""
     if kind == "all":
         return np.ones(frames.size[::-1], bool)
@@ -30,8 +30,8 @@ def region_of_situation(kind: str, frames: SceneFrames, known: tuple[float, ...]
     shown = frames.truth(time)
     object_id, color = shown.read("object_id"), shown.read("color")
     movers = binary_dilation(moves[object_id], iterations=BESIDE)
-    if kind in ("movers", "still"):
-        return movers if kind == "movers" else ~movers
+    if kind == "movers":
+        return movers
     found, now = np.zeros_like(movers), to_display(color, frames.scene.exposure)
     for moment in known:
         was = frames.renderer.render(moment, frames.display_camera(time))

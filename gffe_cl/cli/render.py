@@ -72,7 +72,7 @@ def render(
     wipers, lamps, shadows, fan, screen, marbles, quantized.
     """
     from gffe_cl.captures.scenes import load_scene
-    from gffe_cl.captures.scenes.render import render_sequence
+    from gffe_cl.captures.scenes.sequences import render_sequence
     from gffe_cl.engine.frame.window import Jitter
     from gffe_cl.engine.opencl.device import open_device
 

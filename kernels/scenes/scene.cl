@@ -140,9 +140,9 @@ __kernel void bin(__global const float4 *frame, __global const float4 *objects, 
 
 /* Renders what each pixel's center sees. depth: view z, +inf for sky; motion: pixels, to the other camera at the other
    time; position: (x, y, z, 1) in the other view space, for sky (x/z, y/z, +inf, z) of the direction there; object_id:
-   -1 for sky; keys: surface, for the antialiasing. Motion is rounded to multiples of motion_step, if that is not 0. */
-__kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float *depth, __global float2 *motion,
-                       __global float4 *position, __global int *object_id, __global int *keys) {
+   -1 for sky; keys: surface, for the antialiasing. */
+__kernel void surfaces(WORLD_ARGUMENTS, __global float *depth, __global float2 *motion, __global float4 *position,
+                       __global int *object_id, __global int *keys) {
     const int x = get_global_id(0), y = get_global_id(1);
     if (x >= width || y >= height) return;
     const World w = WORLD;
@@ -155,8 +155,7 @@ __kernel void surfaces(WORLD_ARGUMENTS, const float motion_step, __global float 
     depth[i] = hit.t;
     object_id[i] = hit.object;
     keys[i] = surface_key(w, hit, (float3)(0.0f), d);
-    const float2 exact = other.z > 0.0f ? project(other, frame[OTHER_PINHOLE]) - px : (float2)(NAN);
-    motion[i] = motion_step > 0.0f ? motion_step * rint(exact / motion_step) : exact;
+    motion[i] = other.z > 0.0f ? project(other, frame[OTHER_PINHOLE]) - px : (float2)(NAN);
     position[i] = sky ? (float4)(other.x / other.z, other.y / other.z, INFINITY, other.z) : (float4)(other, 1.0f);
 }
 

@@ -38,20 +38,13 @@ SCENES = {
 # Each holds one thing that is hard, and little else; beside the eight above, which tables and studies are made of.
 SITUATIONS = {
     "bars": "Movers behind bars: three people and an animal pass behind a fence",
-    "railings": "People behind a fence and before it, and moving shadows that cross them; the camera strafes",
-    "entering": "Movers that enter through the border: cars from the side and past the camera, a walker",
-    "ropes": "Thin ropes, one to three pixels wide, that swing before a wall",
     "balls": "Balls that fly on parabolas, bounce and roll",
     "rotors": "Arcs: a pinwheel, a wheel with spokes, a rotor, a cart on wheels",
     "handheld": "A camera that speeds up, turns and stops, in a still room",
     "cab": "Dashboard and pillars of a cab that shakes: they are fixed to the camera",
     "wipers": "Wipers and a hand that move in a shaking cab: relative to the camera",
-    "lamps": "Two lamps that swing: their light, and all shadows",
     "shadows": "Shadows of things out of view, across steps, columns and walls",
     "fan": "A fan before a lamp: shadows of blades turn over walls and floor",
-    "screen": "Screens that flicker, and the light they throw",
-    "marbles": "Balls of glass and of steel that roll over polished stone: reflections, and what shines through",
-    "quantized": "People walk, the camera strafes; motion vectors are rounded to whole pixels",
 }
 
 __all__ = [

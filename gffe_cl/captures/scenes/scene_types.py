@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from gffe_cl.captures.scenes.parts.motions import Motion, Place
+from gffe_cl.captures.scenes.motions import Motion, Place
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.opencl.program import constants
 
@@ -181,8 +181,6 @@ class Scene:
         Path of the camera and of the point it looks at.
     focal : float
         Focal length in image heights.
-    motion_step : float
-        Pixels to multiples of which the motion of rendered frames is rounded, as engines' packed vectors are; 0: exact.
     """
 
     name: str
@@ -196,7 +194,6 @@ class Scene:
     focal: float = 0.9
     fps: float = 30.0
     exposure: float = 1.0
-    motion_step: float = 0.0
 
     def camera(self, time: float, width: int, height: int) -> Camera:
         """Return the camera at `time` for an image of the given size, principal point in its middle."""

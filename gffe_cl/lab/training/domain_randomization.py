@@ -7,7 +7,7 @@ import dataclasses
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.motions import Motion, Place, Slide, Spin, Swing
+from gffe_cl.captures.scenes.motions import Motion, Place, Slide, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Box,
     Capsule,

@@ -7,7 +7,7 @@ from scene_oracle import cast, clearances, followed
 
 from gffe_cl.captures.offline.source import Live
 from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.captures.scenes.flatten import build_tree
+from gffe_cl.captures.scenes.renderer import build_tree
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import host_arrays

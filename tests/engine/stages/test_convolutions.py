@@ -219,7 +219,7 @@ def files_of(folder):
 
 
 SCENES = ["gallery", "shadows"]
-MORE = ["courtyard", "fan", "street", "factory", "lamps", "screen", "plaza", "forest"]
+MORE = ["courtyard", "fan", "street", "factory", "plaza", "forest"]
 
 
 @pytest.mark.parametrize("scene", [*SCENES, *(pytest.param(name, marks=pytest.mark.long) for name in MORE)])

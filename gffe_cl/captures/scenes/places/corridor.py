@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.figures import walker
-from gffe_cl.captures.scenes.parts.furniture import (
+from gffe_cl.captures.scenes.figures import walker
+from gffe_cl.captures.scenes.furniture import (
     BRASS,
     IRON,
     MIRROR,
@@ -19,7 +19,7 @@ from gffe_cl.captures.scenes.parts.furniture import (
     railing,
     wall_with_windows,
 )
-from gffe_cl.captures.scenes.parts.motions import Path, Place, Slide, Spin, Swing
+from gffe_cl.captures.scenes.motions import Path, Place, Slide, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import Air, Box, Group, Light, Material, Scene, Sphere, pick, tint, vary
 
 HALF_WIDTH, HEIGHT, FAR, NEAR = 2.5, 3.2, -34.0, 5.0

@@ -4,18 +4,18 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.figures import walker
-from gffe_cl.captures.scenes.parts.furniture import (
+from gffe_cl.captures.scenes.figures import walker
+from gffe_cl.captures.scenes.furniture import (
     IRON,
     WOOD,
     bark_material,
     bench,
     broad_tree,
+    gazing_ball,
     leaf_material,
     potted_plant,
 )
-from gffe_cl.captures.scenes.parts.luminaires import gazing_ball
-from gffe_cl.captures.scenes.parts.motions import Chain, Path, Place, Spin, Swing
+from gffe_cl.captures.scenes.motions import Chain, Path, Place, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.figures import walker
-from gffe_cl.captures.scenes.parts.furniture import GLASS, IRON, STEEL, railing
-from gffe_cl.captures.scenes.parts.luminaires import beacon, swinging_lamp
-from gffe_cl.captures.scenes.parts.motions import Carry, Motion, Path, Place, Slide, Spin, Swing
+from gffe_cl.captures.scenes.figures import walker
+from gffe_cl.captures.scenes.furniture import GLASS, IRON, STEEL, beacon, railing, swinging_lamp
+from gffe_cl.captures.scenes.motions import Carry, Motion, Path, Place, Slide, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,

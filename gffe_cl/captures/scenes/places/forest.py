@@ -4,9 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.figures import animal, walker
-from gffe_cl.captures.scenes.parts.furniture import bark_material, broad_tree, conifer, leaf_material
-from gffe_cl.captures.scenes.parts.motions import Bounce, Motion, Path, Place, Spin, Swing
+from gffe_cl.captures.scenes.figures import animal, walker
+from gffe_cl.captures.scenes.furniture import bark_material, broad_tree, conifer, leaf_material
+from gffe_cl.captures.scenes.motions import Bounce, Motion, Path, Place, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,

@@ -4,10 +4,20 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.figures import walker
-from gffe_cl.captures.scenes.parts.furniture import BRASS, IRON, MIRROR, STEEL, bench, railing
-from gffe_cl.captures.scenes.parts.luminaires import gazing_ball, spotlight, swinging_lamp, turning_lantern
-from gffe_cl.captures.scenes.parts.motions import Motion, Path, Place, Slide, Spin, Swing
+from gffe_cl.captures.scenes.figures import walker
+from gffe_cl.captures.scenes.furniture import (
+    BRASS,
+    IRON,
+    MIRROR,
+    STEEL,
+    bench,
+    gazing_ball,
+    railing,
+    spotlight,
+    swinging_lamp,
+    turning_lantern,
+)
+from gffe_cl.captures.scenes.motions import Motion, Path, Place, Slide, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.figures import animal, walker
-from gffe_cl.captures.scenes.parts.furniture import (
+from gffe_cl.captures.scenes.figures import animal, walker
+from gffe_cl.captures.scenes.furniture import (
     IRON,
     STEEL,
     WOOD,
@@ -15,7 +15,7 @@ from gffe_cl.captures.scenes.parts.furniture import (
     leaf_material,
     railing,
 )
-from gffe_cl.captures.scenes.parts.motions import Bounce, Path, Place, Slide, Spin, Swing
+from gffe_cl.captures.scenes.motions import Bounce, Path, Place, Slide, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,

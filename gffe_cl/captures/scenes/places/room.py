@@ -4,25 +4,23 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.furniture import (
+from gffe_cl.captures.scenes.furniture import (
     BRASS,
     GLASS,
     IRON,
     MIRROR,
     bark_material,
-    broad_tree,
-    leaf_material,
-    potted_plant,
-)
-from gffe_cl.captures.scenes.parts.motions import Bounce, Path, Place, Roll, Spin, Swing
-from gffe_cl.captures.scenes.parts.room_furniture import (
     bookcase,
+    broad_tree,
     coffee_table,
     glass_screen,
+    leaf_material,
+    potted_plant,
     sideboard,
     sofa,
     wood_frame,
 )
+from gffe_cl.captures.scenes.motions import Bounce, Path, Place, Roll, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,

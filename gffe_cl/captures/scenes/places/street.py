@@ -4,11 +4,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.parts.figures import walker
-from gffe_cl.captures.scenes.parts.furniture import IRON, bench, railing
-from gffe_cl.captures.scenes.parts.luminaires import beacon, bulb_material, swinging_lamp
-from gffe_cl.captures.scenes.parts.motions import Path, Place, Spin, Swing
-from gffe_cl.captures.scenes.parts.vehicles import car, headlight
+from gffe_cl.captures.scenes.figures import car, headlight, walker
+from gffe_cl.captures.scenes.furniture import IRON, beacon, bench, bulb_material, railing, swinging_lamp
+from gffe_cl.captures.scenes.motions import Path, Place, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Air,
     Box,

@@ -1,1 +1,0 @@
-"""Parts that scenes are made of: figures, furniture, lights, vehicles, motions."""
