@@ -240,7 +240,7 @@ def test_the_rules_can_fail():
         "engine.core.errors": {"engine.pipeline.pipeline"},
         "engine.pipeline.pipeline": {"captures.formats"},
         "captures.formats": {"engine.core.errors"},
-        "viewer.window.app": {"viewer.state.model", "lab.table.cells", "lab.metrics.images"},
+        "viewer.window.app": {"viewer.state.model", "lab.table.cells", "lab.metrics"},
     }
     assert across(graph, WINGS) == [
         "engine.pipeline.pipeline → captures.formats",

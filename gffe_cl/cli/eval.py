@@ -252,7 +252,7 @@ def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
         table.add_row(name, plain(titles[name]) + note, *(c.text(mean[c.name], c.name == "against") for c in columns))
     out.print(table)
     count = len(results["sequences"])
-    out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.lab.metrics.flicker`.")
+    out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.lab.metrics.Flicker`.")
     _print_encodings(results["encodings"])
     if with_regions:
         _print_regions(results)

@@ -10,7 +10,7 @@ from frame_models import network
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.lab.metrics.regions import REGIONS
+from gffe_cl.lab.metrics import REGIONS
 from gffe_cl.lab.table import cells, results
 from gffe_cl.lab.table.cells import Cell, TableOrder, compute_cell, fill
 from gffe_cl.lab.table.footage import FolderSubject, SceneSubject, Shot, at_full_size, parse_subject

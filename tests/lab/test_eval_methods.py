@@ -12,9 +12,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
-from gffe_cl.lab.metrics import METRICS, RegionErrors
-from gffe_cl.lab.metrics.flicker import Flicker, blurred
-from gffe_cl.lab.metrics.regions import REGIONS, labels_of, masks, steps
+from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, RegionErrors, blurred, labels_of, masks, steps
 from gffe_cl.lab.table import baselines, results, videos
 from gffe_cl.lab.table.baselines import OnnxModel, OnnxRunner
 from gffe_cl.lab.table.footage import Guide, Moment, Shot, exact_parts, pixel_centers, turned

@@ -17,9 +17,8 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.lab.metrics import Metric, psnr, squared_error, to_display
-from gffe_cl.lab.metrics.flicker import Flicker
-from gffe_cl.lab.metrics.regions import REGIONS as TABLE
+from gffe_cl.lab.metrics import REGIONS as TABLE
+from gffe_cl.lab.metrics import Flicker, Metric, psnr, squared_error, to_display
 from gffe_cl.lab.table.footage import find_labels
 from gffe_cl.viewer.engine.figures import (
     NEEDED_BY_REGION,

@@ -10,10 +10,17 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gffe_cl.engine.inspection import names
-from gffe_cl.lab.metrics import METRICS, focus_mask, measurable, to_display
-from gffe_cl.lab.metrics.flicker import Flicker
-from gffe_cl.lab.metrics.regions import REGIONS as _TABLE
-from gffe_cl.lab.metrics.regions import shows, steps, world_positions
+from gffe_cl.lab.metrics import (
+    METRICS,
+    Flicker,
+    focus_mask,
+    measurable,
+    shows,
+    steps,
+    to_display,
+    world_positions,
+)
+from gffe_cl.lab.metrics import REGIONS as _TABLE
 from .background import Background
 from .messages import Frame, Key, Recipe
 
@@ -24,7 +31,7 @@ _RECIPES = 8  # whose figures are remembered
 _SLOW = 4  # slots that wait for metrics that are slow
 _TO_MEASURE = 256 << 20  # bytes of slots that wait for their metrics; beyond that the oldest are given up
 
-# As the table of methods has them (gffe_cl/lab/metrics/regions.py), found by the pipeline; the first that holds counts.
+# As the table of methods has them (gffe_cl/lab/metrics.py), found by the pipeline; the first that holds counts.
 REGIONS = {
     "out of screen": _TABLE["out of screen"],
     "disoccluded": "hidden in the rendered frame behind something else",

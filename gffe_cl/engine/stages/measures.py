@@ -1,5 +1,5 @@
-"""What is found out about a rendered frame before the work on it: a user interface in its color, cuts and teleports
-that the input does not mark, and the sharpness with which it is resampled."""
+"""Measurements of a rendered frame before the work on it: a user interface in its color, cuts and teleports that the
+input does not mark, and the sharpness with which it is resampled."""
 
 from __future__ import annotations
 

@@ -15,8 +15,7 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
 from gffe_cl.engine.inference.network import NetworkError, one_line, open_session
-from gffe_cl.lab.metrics.flicker import LUMA
-from gffe_cl.lab.metrics.regions import same_surface
+from gffe_cl.lab.metrics import LUMA, same_surface
 from gffe_cl.lab.table.footage import Moment, Shot, pixel_centers
 
 _SAME_AS_BEFORE = 0.1  # of the depth, between two frames of a moving camera

@@ -24,9 +24,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded, replacing
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.opencl.program import kernel_folder
-from gffe_cl.lab.metrics import RegionErrors, measurable, to_display
-from gffe_cl.lab.metrics.flicker import Flicker
-from gffe_cl.lab.metrics.regions import REGIONS, masks
+from gffe_cl.lab.metrics import REGIONS, Flicker, RegionErrors, masks, measurable, to_display
 from gffe_cl.lab.table.footage import Footage, Shot, Subject, at_full_size, find_labels, open_subject
 from gffe_cl.lab.table.methods import Method, chosen_methods
 from gffe_cl.lab.table.pipelines import DeviceRunner, PipelineRunner

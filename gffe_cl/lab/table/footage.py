@@ -39,8 +39,7 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.lab.compare import NO_HISTORY
-from gffe_cl.lab.metrics import focus_mask
-from gffe_cl.lab.metrics.regions import labels_of, same_surface, shows, steps, world_positions
+from gffe_cl.lab.metrics import focus_mask, labels_of, same_surface, shows, steps, world_positions
 
 _MOST_KEPT = 3 << 30  # bytes of footage that stay in memory
 _BYTES_PER_PIXEL = 45  # of a rendered frame and a moment

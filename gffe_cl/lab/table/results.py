@@ -13,8 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.lab.metrics import METRICS, RegionErrors
-from gffe_cl.lab.metrics.regions import REGIONS
+from gffe_cl.lab.metrics import METRICS, REGIONS, RegionErrors
 from gffe_cl.lab.table.cells import Cell, Filled
 from gffe_cl.lab.table.methods import FULL, GAINS
 from gffe_cl.lab.table.videos import VIDEO_METRICS

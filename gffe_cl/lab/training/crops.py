@@ -13,8 +13,7 @@ from torch import Tensor
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.lab.metrics import relative_error, shading_regions
-from gffe_cl.lab.metrics.images import FOCUS_SMAPE
+from gffe_cl.lab.metrics import FOCUS_SMAPE, relative_error, shading_regions
 from gffe_cl.lab.training.clips import CHANNELS, CROP, HALVED_CHANNELS, PLANES, VERSION, finished_clips, halved_path
 from gffe_cl.lab.training.images import halve
 from gffe_cl.lab.training.network import encode

@@ -1,4 +1,8 @@
-"""Image metrics, defined once in `METRICS`. Images are (H, W, 3) float arrays of display values in [0, 1]."""
+"""Metrics of images, defined once in `METRICS`, flicker, and the regions in which errors are counted. The viewer uses
+nothing else of the lab.
+
+Images are (H, W, 3) float arrays of display values in [0, 1].
+"""
 
 from __future__ import annotations
 
@@ -12,6 +16,7 @@ from numpy.typing import ArrayLike
 
 from gffe_cl.engine.core.errors import how_to_install, require_packages
 from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.transfer_function import to_display as to_display  # inputs of metrics
 
 PSNR_CAP = 100.0  # dB
@@ -291,3 +296,139 @@ def _increase(into: dict, by: dict) -> None:
 def _finite(color) -> np.ndarray:
     color = np.nan_to_num(np.asarray(color)[..., :3].astype(np.float32), nan=0.0, posinf=np.inf, neginf=-np.inf)
     return np.clip(color, -_HALF_MAX, _HALF_MAX)
+
+
+# ---- flicker -----------------------------------------------------------------------------------------------------
+
+LUMA = np.array((0.2126, 0.7152, 0.0722), np.float32)
+_SIGMA = 1 / 300  # of the image's height
+
+
+class Flicker:
+    """Sum of flicker over the frames of a sequence in the order of display: visible error when rendered and generated
+    frames alternate.
+
+    At 60 Hz people do not see the error of a single frame. They see that every second frame has one: lit edges that
+    pulse, shadows that jump to and fro. The eye follows moving objects, so the difference between shown and true frame
+    counts, not that between successive frames; and at 30 Hz it is only sensitive to coarse patterns, falling to half at
+    about three cycles per degree (Kelly, Motion and vision II, JOSA 1979). So: error of the luma that is displayed
+    (Rec. 709), blurred by a Gaussian of 1/300 of the image's height (half at three cycles per degree, seen from three
+    heights), and of that the mean absolute change from each shown frame to the next, rendered ones included, in per
+    cent of display white. A renderer without generated frames has 0. An error that stays the same over time does not
+    flicker.
+    """
+
+    def __init__(self):
+        self._before: np.ndarray | None = None
+        self.sum, self.count = 0.0, 0
+
+    def add(self, shown: np.ndarray, truth: np.ndarray) -> float | None:
+        """Add display values (H, W, 3) of the next frame, as shown and as it should be. Return the change from the
+        frame before, per cent; None for the first."""
+        error = blurred((shown - truth) @ LUMA, _SIGMA * shown.shape[0])
+        before, self._before = self._before, error
+        if before is None:
+            return None
+        change = 100 * float(np.abs(error - before).mean())
+        self.sum, self.count = self.sum + change, self.count + 1
+        return change
+
+    def cut(self) -> None:
+        """Start a new sequence: the next frame is not displayed right after the last one added."""
+        self._before = None
+
+    @property
+    def mean(self) -> float:
+        """The mean over all changes; NaN if there were none."""
+        return self.sum / self.count if self.count else float("nan")
+
+
+def blurred(image: np.ndarray, sigma: float) -> np.ndarray:
+    """Return (H, W) float32, blurred by a Gaussian of `sigma` pixels up to 4 sigma; the image is mirrored at its
+    borders."""
+    radius = int(4 * sigma + 0.5)
+    weights = np.exp(-0.5 * (np.arange(-radius, radius + 1) / sigma) ** 2)
+    weights = (weights / weights.sum()).astype(np.float32)
+    for _ in range(2):  # along columns, then along rows
+        padded = np.pad(image, ((radius, radius), (0, 0)), mode="symmetric")
+        sums = np.zeros_like(image)
+        for k, weight in enumerate(weights):
+            sums += weight * padded[k : k + len(image)]
+        image = np.ascontiguousarray(sums.T)
+    return image
+
+
+# ---- regions -----------------------------------------------------------------------------------------------------
+
+# Regions in which errors are counted: every pixel of a new frame belongs to one.
+#
+# Disocclusions are the paper's three ('Disocclusions'): surfaces that a new frame shows and the rendered frame does not
+# lie *out of screen*, or behind something that stands still (*static*) or moves (*dynamic*). On built-in scenes that is
+# exact, from the renderer. On sequences without G-buffers of the new frame it comes from the pipeline's own masks: no
+# better than these, but the same for all methods.
+#
+# By label; where several would hold, the first does.
+REGIONS = {
+    "out of screen": "it shows something outside of the rendered frame",
+    "static disocclusion": "hidden in the rendered frame behind something that stands still",
+    "dynamic disocclusion": "hidden in the rendered frame behind something that moves",
+    "silhouettes": "beside a step in depth",
+    "dynamic": "surfaces that move by themselves",
+    "focus": "shading is wrong although geometry is not (the paper's focus pixels)",
+    "rest": "everything else",
+}
+_LABEL = {name: number for number, name in enumerate(REGIONS)}
+_SAME_SURFACE = 0.02  # of the depth
+_STEP = 0.1  # of the depth, from which two neighbors are two surfaces
+_SKY = 1e7  # world units
+
+
+def masks(labels: np.ndarray) -> dict[str, np.ndarray]:
+    """Return masks (H, W) bool by name of the region, and "whole"."""
+    found = {name: labels == number for name, number in _LABEL.items()}
+    return found | {"whole": np.ones(labels.shape, bool)}
+
+
+def labels_of(parts: dict[str, np.ndarray]) -> np.ndarray:
+    """Return labels (H, W) uint8 of masks by name; the first of `REGIONS` wins."""
+    labels = np.full(parts["dynamic"].shape, _LABEL["rest"], np.uint8)
+    for name in reversed(REGIONS):
+        if name in parts:
+            labels[parts[name]] = _LABEL[name]
+    return labels
+
+
+def same_surface(a: np.ndarray, b: np.ndarray) -> np.ndarray:
+    """Return whether depths are one surface's, to 2%; both infinite, or neither."""
+    with np.errstate(invalid="ignore"):
+        return np.where(np.isinf(b), np.isinf(a), np.abs(a - b) <= _SAME_SURFACE * np.abs(b))
+
+
+def steps(depth: np.ndarray) -> np.ndarray:
+    """Return (H, W) bool: pixels with a neighbor, of four, at another depth."""
+    found = np.zeros(depth.shape, bool)
+    for axis in (0, 1):
+        a, b = (np.take(depth, range(k, depth.shape[axis] - 1 + k), axis) for k in (0, 1))
+        with np.errstate(invalid="ignore"):
+            step = np.where(np.isfinite(a) & np.isfinite(b), np.abs(a - b) > _STEP * np.minimum(a, b), a != b)
+        step &= ~(np.isinf(a) & np.isinf(b))
+        first = [slice(None)] * 2
+        second = [slice(None)] * 2
+        first[axis], second[axis] = slice(None, -1), slice(1, None)
+        found[tuple(first)] |= step
+        found[tuple(second)] |= step
+    return found
+
+
+def shows(camera: Camera, width: int, height: int, world_pos: np.ndarray) -> np.ndarray:
+    """Return (N,) bool: whether world positions (N, 3) lie before `camera` and within its image, hidden or not."""
+    px, depth = camera.project(world_pos)
+    with np.errstate(invalid="ignore"):
+        return (depth > 0) & (px >= 0).all(-1) & (px < (width, height)).all(-1)
+
+
+def world_positions(camera: Camera, depth: np.ndarray, mask: np.ndarray) -> np.ndarray:
+    """Return the world positions (N, 3) of the pixels of `mask`; sky is put very far away."""
+    y, x = np.nonzero(mask)
+    z = depth[mask].astype(np.float64)
+    return camera.unproject(np.stack([x + 0.5, y + 0.5], -1), np.where(np.isinf(z), _SKY, z))
