@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import shlex
-import sys
 import time
 from contextlib import ExitStack
 from pathlib import Path
@@ -28,7 +26,7 @@ from gffe_cl.engine.core.files import only_process
 def train(
     folder: Annotated[
         Path,
-        typer.Argument(help="Folder for checkpoint, logs, model and model card; training continues from its content."),
+        typer.Argument(help="Folder for checkpoint and model; training continues from its content."),
     ],
     data: Annotated[
         Path | None,
@@ -81,12 +79,11 @@ def train(
     json_path: JsonOption = None,
 ) -> None:
     """Train the shading correction network on varied built-in scenes, and export it as ONNX."""
-    require_packages("training", "train", "torch", "tensorboard")
+    require_packages("training", "train", "torch", "onnx")
     import torch
 
     from gffe_cl.engine.opencl.device import open_device
-    from gffe_cl.lab.training.clips import complete_clips, finished_clips, make_clips
-    from gffe_cl.lab.training.crops import list_crops
+    from gffe_cl.lab.training.data import complete_clips, finished_clips, list_crops, make_clips
     from gffe_cl.lab.training.training import Recipe, Training, clips_of_run
 
     if minutes is not None and not minutes > 0:
@@ -124,7 +121,7 @@ def train(
         training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start)
         bars.update(task, description="steps", total=steps, completed=training.step)
         steps_until = None if limit is None else max(started + limit, time.monotonic() + limit / 3)
-        done = training.run(steps_until, lambda progress: bars.update(task, completed=progress.step))
+        done = training.run(steps_until, lambda step: bars.update(task, completed=step))
     _export(training, folder, data, count, done, torch.__version__, json_path)
 
 
@@ -133,7 +130,7 @@ _LEAST_CLIPS = 2  # to train on and to validate with
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
     from gffe_cl.lab.training import losses
-    from gffe_cl.lab.training.export import count_operations, export_onnx, model_card
+    from gffe_cl.lab.training.export import count_operations, export_onnx
 
     figures = training.validate()
     recipe, network = training.recipe, training.network
@@ -150,15 +147,9 @@ def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_ve
         "data": f"{clips} clips, seed {recipe.seed}; {len(training.crops):,} crops of 256×256",
         "losses": f"version {losses.VERSION}, perceptual: {training.perceptual.name}",
         "onnxruntime against PyTorch": f"largest difference {difference:.1g}",
-        "source": f"commit {', then '.join(training.sources)}",
     }
     if recipe.integers:
         facts["the same, integers"] = f"root of the mean square {rounded:.1g}"
-    command = shlex.join(("gffe", *sys.argv[1:]))
-    try:
-        (folder / "MODEL_CARD.md").write_text(model_card(facts, figures, command))
-    except OSError as error:
-        raise GffeError(f"{folder}: cannot write the model card: {error.strerror}") from None
     for name, value in (facts | {name: f"{value:.4g}" for name, value in figures.items()}).items():
         out.print(f"{name}: {value}")
     if not done:

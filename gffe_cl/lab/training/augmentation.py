@@ -8,10 +8,8 @@ from torch import Tensor
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.shading import TREND_PLANES, spacing_of
-from gffe_cl.lab.training.clips import CROP
-from gffe_cl.lab.training.crops import DYNAMIC, Batch
-from gffe_cl.lab.training.images import halve
-from gffe_cl.lab.training.network import decode, encode
+from gffe_cl.lab.training.data import CROP, DYNAMIC, Batch
+from gffe_cl.lab.training.network import decode, encode, halve
 
 _CONSTANTS = constants("shading_trend.cl")
 _CELL, _LEAST_SHARE = _CONSTANTS["CELL"], _CONSTANTS["LEAST_SHARE"]

@@ -1,11 +1,10 @@
-"""Export of a trained network: ONNX, checked against PyTorch, and a model card."""
+"""Export of a trained network: ONNX, checked against PyTorch, and layers for kernels."""
 
 from __future__ import annotations
 
 import copy
 import logging
 import os
-import subprocess
 import warnings
 from contextlib import suppress
 from pathlib import Path
@@ -133,45 +132,3 @@ def count_operations(network: ShadingCorrectionNetwork, width: int, height: int)
         trends = torch.zeros(1, TREND_PLANES, *(side // 2 for side in sides))
         shape_only(torch.zeros(1, INPUT_PLANES, *sides), torch.zeros(1), trends)
     return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9
-
-
-def commit() -> str:
-    """Return the commit of the running source; "unknown" outside a git checkout, "…, changed" with uncommitted
-    changes."""
-    folder = Path(__file__).resolve().parent
-
-    def git(*arguments):
-        return subprocess.run(
-            ["git", *arguments], cwd=folder, capture_output=True, text=True, check=True
-        ).stdout.strip()
-
-    try:
-        name = git("rev-parse", "--short=12", "HEAD")
-        return name + (
-            ", changed" if git("status", "--porcelain", "--untracked-files=no", "../..", "../../../kernels") else ""
-        )
-    except (OSError, subprocess.CalledProcessError):
-        return "unknown"
-
-
-def model_card(facts: dict[str, str], figures: dict[str, float], command: str) -> str:
-    """Return the model card in Markdown: data, recipe, figures and the command that gives the weights again."""
-    rows = "\n".join(f"| {name} | {value} |" for name, value in facts.items())
-    numbers = "\n".join(f"| {name} | {value:.4g} |" for name, value in figures.items())
-    return f"""# Shading correction network
-
-Corrects the shading of extrapolated frames: shadows, lights and reflections that move over static surfaces.
-Input, output and composition: `gffe_cl/lab/training/network.py`. Made by
-
-    {command}
-
-| | |
-| --- | --- |
-{rows}
-
-Validation, on clips that were not trained on (mean absolute error of encoded color):
-
-| | |
-| --- | --- |
-{numbers}
-"""

@@ -1,6 +1,6 @@
 """The shading correction network (paper: 'Shading Correction Network' and its appendix).
 
-Two changes of shading may continue: movement, along the flow that `flow.find_flow` finds from the GAE frame into the
+Two changes of shading may continue: movement, along the flow that `find_flow` finds from the GAE frame into the
 warped previous one, coarse to fine, and trends over wide areas (kernels/shading_trend.cl). The network judges per pixel
 how far. Its input are both frames and the confidence in both candidates; four levels of features work at a quarter of
 the display's resolution and below; a head at half resolution makes the correction. `compose` applies it to the frame,
@@ -20,8 +20,6 @@ from torch import Tensor, nn
 
 from gffe_cl.engine.inference.layers import CANDIDATE_PLANES, HEAD_LAYERS, INPUT_PLANES, JUDGEMENT_PLANES
 from gffe_cl.engine.stages.frame_block import HEADROOM, MU
-from gffe_cl.lab.training.flow import find_flow
-from gffe_cl.lab.training.images import double, halve, warp
 
 FOCUS_THRESHOLD = 1 / 32  # a smaller M is 0
 _CHANNELS = (16, 32, 48, 64)  # at 1/4 … 1/32 of the display
@@ -35,6 +33,32 @@ _LITTLE = 1e-4  # squared change of encoded color
 _SLOPE = 0.1  # of leaky rectifiers
 _LOG = torch.log1p(torch.tensor(MU)).item()
 _MOST = math.log1p(65504 * MU / HEADROOM) / _LOG
+
+
+# ---- images --------------------------------------------------------------------------------------------
+
+
+def halve(image: Tensor) -> Tensor:
+    """Return means over 2×2 pixels of an image (N, C, H, W) with even sizes."""
+    return functional.avg_pool2d(image, 2)
+
+
+def double(image: Tensor) -> Tensor:
+    """Return an image of twice the size: bilinear, pixel centers of both images on one plane, borders repeated."""
+    return functional.interpolate(image, scale_factor=2, mode="bilinear", align_corners=False)
+
+
+def warp(image: Tensor, flow: Tensor) -> Tensor:
+    """Return an image (N, C, H, W) sampled at x + flow[x], (N, 2, h, w) in pixels of the image; bilinear, borders
+    repeated. The flow may have a lower resolution: pixel centers of both lie on one plane."""
+    image, flow = image.float(), flow.float()
+    height, width = flow.shape[-2:]
+    ys = torch.arange(height, dtype=flow.dtype, device=flow.device).view(1, height, 1)
+    xs = torch.arange(width, dtype=flow.dtype, device=flow.device).view(1, 1, width)
+    grid_x = flow[:, 0] * (2.0 / image.shape[-1]) + (xs + 0.5) * (2.0 / width) - 1.0
+    grid_y = flow[:, 1] * (2.0 / image.shape[-2]) + (ys + 0.5) * (2.0 / height) - 1.0
+    grid = torch.stack((grid_x, grid_y), -1)
+    return functional.grid_sample(image, grid, mode="bilinear", padding_mode="border", align_corners=False)
 
 
 def encode(color: Tensor) -> Tensor:
@@ -244,3 +268,64 @@ def compose(color: Tensor, correction: Tensor, focus_mask: bool = True) -> tuple
         refined = decode(low + delta + keep * (encoded - low))
     mask = torch.where(mask < FOCUS_THRESHOLD, torch.zeros_like(mask), mask)
     return refined, (color + mask * (refined - color) if focus_mask else refined), mask
+
+
+# ---- flow ----------------------------------------------------------------------------------------------
+
+_LEVELS = 3
+_STEPS = 2  # per level
+_FLAT = 1e-4  # squared gradient of encoded color below which nothing moves
+_LONGEST = 2.0  # pixels of a step
+
+
+def find_flow(now: Tensor, before: Tensor, repeated: Tensor) -> tuple[Tensor, Tensor]:
+    """Return the flow and its errors. The content at x in `now` is at x + flow[x] in `before`, both (N, 1, h, w), sides
+    multiples of 8.
+
+    The flow is (N, 2, h, w) in pixels. The errors are (N, 4, h, w) mean squared differences around: of `now` from
+    `before` as it is and along the flow, and of that change from the one of the interval before, `repeated` (N, 1, h,
+    w), as it is and along the flow. Sums are over some 6×6 pixels of each level; the flow of every second pixel is
+    found.
+    """
+    images = [(now, before)]
+    while len(images) < _LEVELS:
+        a, b = images[-1]
+        images.append((halve(a), halve(b)))
+    flow = None
+    for a, b in reversed(images):
+        height, width = a.shape[-2] // 2, a.shape[-1] // 2
+        flow = a.new_zeros(a.shape[0], 2, height, width) if flow is None else 2.0 * double(flow)
+        for _ in range(_STEPS):
+            flow = flow + _step(a, warp(b, double(flow)))
+    assert flow is not None
+    finest = double(flow)
+    squares = halve(torch.cat((before - now, warp(before, finest) - now), 1).square())
+    changed = halve(now - before)
+    again = torch.cat((changed - halve(repeated), changed - warp(repeated, flow)), 1).square()
+    return finest, double(_means(torch.cat((squares, again), 1)))
+
+
+def _step(a: Tensor, b: Tensor) -> Tensor:
+    """Return by how much to move b, by least squares, to equal a; at half the resolution, in pixels of a."""
+    x, y = _gradient(a + b)
+    rest = 4.0 * (b - a)
+    xx, xy, yy, xr, yr = _mean_around(torch.cat((x * x, x * y, y * y, x * rest, y * rest), 1)).split(1, 1)
+    xx, yy = xx + _FLAT, yy + _FLAT
+    step = torch.cat((xy * yr - yy * xr, xy * xr - xx * yr), 1) / (xx * yy - xy * xy)
+    return step / (step.abs().amax(1, keepdim=True) / _LONGEST).clamp(min=1)
+
+
+def _gradient(image: Tensor) -> tuple[Tensor, Tensor]:
+    """Return twice the gradient along x and y."""
+    padded = functional.pad(image, (1, 1, 1, 1), mode="replicate")
+    return padded[..., 1:-1, 2:] - padded[..., 1:-1, :-2], padded[..., 2:, 1:-1] - padded[..., :-2, 1:-1]
+
+
+def _mean_around(image: Tensor) -> Tensor:
+    """Return means of 3×3 pixels at half the resolution."""
+    return _means(halve(image))
+
+
+def _means(image: Tensor) -> Tensor:
+    """Return means of the 3×3 pixels around each, or at borders of those that exist."""
+    return functional.avg_pool2d(image, 3, 1, 1, count_include_pad=False)

@@ -5,12 +5,11 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-import os
 import signal
 import threading
 import time
 from collections.abc import Callable
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -20,15 +19,14 @@ import torch
 from torch import Tensor, nn
 
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import replacing
 from gffe_cl.engine.core.validation import require_seed
 from gffe_cl.lab.metrics import FOCUS
 from gffe_cl.lab.training import losses
 from gffe_cl.lab.training.augmentation import Augmentation
-from gffe_cl.lab.training.clips import VERSION
-from gffe_cl.lab.training.crops import Batch, Crop, CropReader, keep_crops
-from gffe_cl.lab.training.export import commit, weights_of
-from gffe_cl.lab.training.images import double
-from gffe_cl.lab.training.network import ShadingCorrectionNetwork, compose, encode
+from gffe_cl.lab.training.data import VERSION, Batch, Crop, CropReader, keep_crops
+from gffe_cl.lab.training.export import weights_of
+from gffe_cl.lab.training.network import ShadingCorrectionNetwork, compose, double, encode
 from gffe_cl.lab.training.quantization import quantize
 
 CHECKPOINT = "checkpoint.pt"
@@ -86,14 +84,6 @@ class Recipe:
         return self.final_learning_rate + share * (self.learning_rate - self.final_learning_rate)
 
 
-@dataclass
-class Progress:
-    """Report of a step, or of the end of a slice."""
-
-    step: int
-    terms: dict[str, float]
-
-
 def loss_terms(
     correction: Tensor,
     likely: Tensor,
@@ -137,7 +127,7 @@ def weights(recipe: Recipe) -> dict[str, float]:
 
 class Training:
     """One run in `folder` on the crops of `clips` clips. It continues from its checkpoint if there is one, and else
-    starts with the weights of the network `start`, if given. `sources`: commits that trained it.
+    starts with the weights of the network `start`, if given.
 
     Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
@@ -168,7 +158,7 @@ class Training:
         self.network = convert(self.device, memory_format=torch.channels_last)
         self.optimizer = torch.optim.Adam(self.network.parameters(), recipe.learning_rate)
         self.perceptual = losses.perceptual_loss(vgg).to(self.device)
-        self.step, self.seconds, self.sources = 0, 0.0, []
+        self.step, self.seconds = 0, 0.0
         self.conditions = asdict(recipe) | {
             "clips": clips,
             "crops": len(self.crops),
@@ -178,25 +168,16 @@ class Training:
             "start": hashlib.sha256(start.read_bytes()).hexdigest()[:12] if start else "nothing",
         }
         self._load()
-        source = commit()
-        if source not in self.sources[-1:]:
-            self.sources.append(source)
 
-    def run(
-        self,
-        until: float | None = None,
-        on_step: Callable[[Progress], None] = lambda progress: None,
-        validate_every: int = 500,
-    ) -> bool:
+    def run(self, until: float | None = None, on_step: Callable[[int], None] = lambda step: None) -> bool:
         """Train until all steps are done, or `time.monotonic()` passes `until`, but a step at least, and return whether
-        all are done.
+        all are done. `on_step` is called with the number of steps after each.
 
         A checkpoint is written every two minutes and at the end, also when interrupted: SIGINT and SIGTERM wait for the
         end of a step. Raises GffeError, and leaves the last checkpoint, if the loss is not finite.
         """
         started = saved = time.monotonic()
         spent, first = self.seconds, self.step
-        log = _Log(self.folder, self.step)
         whole = True  # between two steps
         try:
             with _signals() as received:
@@ -209,24 +190,20 @@ class Training:
                     if received or (until is not None and now > until and self.step > first):
                         break
                     whole = False
-                    halved, terms = self._train_step()
+                    self._train_step()
                     self.step += 1
                     whole = True
-                    log.add("train" if halved else "train, full resolution", terms, self.step)
-                    if self.validation and (self.step % validate_every == 0 or self.step == self.recipe.steps):
-                        log.write("validation", self.validate(), self.step)
-                    on_step(Progress(self.step, terms))
+                    on_step(self.step)
             if received:
                 raise KeyboardInterrupt(f"step {self.step} is kept in {self.folder}")
         finally:
             if whole:
                 self.seconds = spent + time.monotonic() - started
                 self.save()
-            log.close()
         return self.step >= self.recipe.steps
 
-    def _train_step(self) -> tuple[bool, dict[str, float]]:
-        """Train one step, and return whether it was at half resolution, and the terms of its loss."""
+    def _train_step(self) -> dict[str, float]:
+        """Train one step, and return the terms of its loss."""
         recipe = self.recipe
         halved = (self.step + 1) % recipe.full_every != 0
         batch = self._batch(self.step, halved)
@@ -248,7 +225,7 @@ class Training:
                 " checkpoint is kept)"
             )
         self.optimizer.step()
-        return halved, {name: float(value.detach()) for name, value in (terms | {"loss": loss}).items()}
+        return {name: float(value.detach()) for name, value in (terms | {"loss": loss}).items()}
 
     def _batch(self, step: int, halved: bool) -> Batch:
         """Return the augmented crops of a step."""
@@ -335,21 +312,17 @@ class Training:
         state = {
             "format": _FORMAT,
             "conditions": self.conditions,
-            "sources": self.sources,
             "step": self.step,
             "seconds": self.seconds,
             "network": self.network.state_dict(),
             "optimizer": self.optimizer.state_dict(),
         }
         path = self.folder / CHECKPOINT
-        part = path.with_suffix(".part")
         try:
             self.folder.mkdir(parents=True, exist_ok=True)
-            torch.save(state, part)
-            os.replace(part, path)
+            with replacing(path) as part:
+                torch.save(state, part)
         except (OSError, RuntimeError) as error:
-            with suppress(OSError):
-                part.unlink()
             raise GffeError(
                 f"{path}: cannot write the checkpoint: {getattr(error, 'strerror', None) or error}"
             ) from None
@@ -368,7 +341,7 @@ class Training:
                 )
             self.network.load_state_dict(state["network"])
             self.optimizer.load_state_dict(state["optimizer"])
-            self.step, self.seconds, self.sources = int(state["step"]), float(state["seconds"]), state["sources"]
+            self.step, self.seconds = int(state["step"]), float(state["seconds"])
 
 
 def clips_of_run(folder: Path) -> int | None:
@@ -385,33 +358,6 @@ def _read(path: Path, device: torch.device) -> dict:
     if state["format"] != _FORMAT:
         raise GffeError(f"{path}: checkpoint of format {state['format']}, expected {_FORMAT} (use another folder)")
     return state
-
-
-class _Log:
-    """TensorBoard log in `folder`/log."""
-
-    _EVERY = 50
-
-    def __init__(self, folder: Path, step: int):
-        from torch.utils.tensorboard import SummaryWriter
-
-        self.writer = SummaryWriter(str(folder / "log"), purge_step=step + 1)
-        self.pending: dict[str, list[dict[str, float]]] = {}
-
-    def add(self, group: str, terms: dict[str, float], step: int) -> None:
-        """Collect the terms of a step, and write their means every `_EVERY` steps."""
-        self.pending.setdefault(group, []).append(terms)
-        if step % self._EVERY == 0 or step == 1:
-            for name, rows in self.pending.items():
-                self.write(name, {key: sum(row[key] for row in rows) / len(rows) for key in rows[0]}, step)
-            self.pending.clear()
-
-    def write(self, group: str, values: dict[str, float], step: int) -> None:
-        for name, value in values.items():
-            self.writer.add_scalar(f"{group}/{name}", value, step)
-
-    def close(self) -> None:
-        self.writer.close()
 
 
 @contextmanager
