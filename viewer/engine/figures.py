@@ -313,7 +313,7 @@ class Timings:
 
     @property
     def text(self) -> str:
-        """Which frames the means are of, in words."""
+        """Number of shown and of generated frames that the means are of, in words."""
         count, generated = len(self._generated), sum(self._generated)
         return f"mean of the last {count} shown frame{'s' * (count > 1)}, {generated} generated"
 
