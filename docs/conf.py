@@ -45,7 +45,6 @@ nitpick_ignore_regex = [(r"py:.*", r"(?!gffe_cl\.).*")]
 nitpick_ignore = [
     ("py:class", f"gffe_cl.{name}")
     for name in (
-        "engine.frame.rendered_frame.HostArrays",
         "engine.opencl.device.Opened",
         "engine.opencl.sharing.SharedSemaphore",
         "captures.sequence.description.Description",

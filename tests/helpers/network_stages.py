@@ -4,12 +4,11 @@ from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
-from device_arrays import copy_to
+from device_arrays import copy_to, of_arrays
 from held_device import while_the_device_waits
 from synthetic import camera
 
 from gffe_cl import Options
-from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
@@ -48,7 +47,7 @@ def made_stages(device, size, exposure=1.0, seed=1):
     color[rng.random(depth.shape) < 0.01] = np.nan
     motion[rng.random(depth.shape) < 0.1] = np.inf
     board.previous = DeviceFrame.allocate(device, size, before, before, 0.0)
-    copy_to(device, board.previous, HostArrays(color, depth, motion))
+    copy_to(device, board.previous, of_arrays(color, depth, motion))
     board.rendered = board.previous
     frame, some = board.frame, rng.random((2, *depth.shape)) < 0.1
     color, depth = images(size, rng)
@@ -83,7 +82,7 @@ def made_before_the_device_begins(pipeline, frame):
     device, size = pipeline.device, frame.depth.shape[::-1]
     buffers = DeviceFrame.allocate(device, size, frame.camera, frame.camera, frame.time)
     color = np.concatenate([frame.color, np.zeros_like(frame.color[..., :1])], -1)
-    copy_to(device, buffers, HostArrays(color, frame.depth, frame.motion))
+    copy_to(device, buffers, of_arrays(color, frame.depth, frame.motion))
     frame = replace(frame, **{name: getattr(buffers, name) for name in ("color", "depth", "motion")})
 
     def make(gate):

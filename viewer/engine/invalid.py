@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from gffe_cl.engine.frame.rendered_frame import HostArrays
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 _KINDS = {  # by fields of `BadPixels`, each a bit of a mask
     "color": "its color is NaN or infinite, and counts as 0",
@@ -26,7 +26,7 @@ class Invalid:
     shown: np.ndarray
 
 
-def invalid_pixels(host: HostArrays) -> np.ndarray | None:
+def invalid_pixels(host: RenderedFrame) -> np.ndarray | None:
     """Return the mask of a rendered frame's invalid pixels, (H, W) uint8; None if all are valid."""
     mask = np.zeros(host.depth.shape, np.uint8)
     wrong = host.wrong

@@ -26,7 +26,7 @@ from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure, require_kind, require_list
 from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame, checked_frame, described_arrays, host_arrays
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame, described_arrays, host_arrays
 
 _FRAMES = 5  # of a sequence, before it is extrapolated
 _TOLD = ("cut off", INTERFACE, REPEATED, DILATED)  # notes that this form names, too
@@ -67,7 +67,7 @@ def _converted(frames: list[RenderedFrame], format: FrameFormat) -> list[Rendere
     """Return the frames in our conventions. Raises GffeError for arrays that cannot be described."""
     made, before, jitter = [], None, (0.0, 0.0)  # the jitter of the frame before, in pixels of color
     for frame in frames:
-        frame = checked_frame(frame)
+        require_kind(frame, RenderedFrame, "frame")
         height, width = require_array(frame.color, "frame: color", None, None, (3, 4)).shape[:2]
         size = width, height
         geometry = require_render_size(format, size, frame.geometry_size)

@@ -7,7 +7,7 @@ motion float ×2, row-major.
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field, fields, replace
 from typing import Any
 
@@ -100,7 +100,8 @@ class RenderedFrame:
     -----
     Arrays are NumPy's or whatever it can read in place; tensors that DLPack hands over, such as a GPU's, are copied to
     the host, which needs NumPy 2.1 or newer. With a `FrameFormat` arrays and buffers are as that describes them. The
-    fields are checked where the frame is used: `Pipeline.submit` and `present` raise GffeError.
+    fields are checked when the frame is made, and when they are set: GffeError says which is wrong. Its arrays are
+    checked where their size is known: `Pipeline.submit` and `present` raise GffeError.
     """
 
     color: Any
@@ -116,47 +117,89 @@ class RenderedFrame:
     # Of the frame of which this one is the display part; None: of its own arrays. `replace` leaves it out.
     _known_bad: BadPixels | None = field(default=None, init=False, repr=False, compare=False)
 
+    def __setattr__(self, name: str, value: Any) -> None:
+        check = _CHECKS.get(name)
+        object.__setattr__(self, name, check(name, value) if check else value)
+
     @property
     def shown_camera(self) -> Camera:
         """The display camera if there is one, else the render camera."""
         return self.display_camera or self.camera
 
+    @property
+    def bad(self) -> BadPixels:
+        """The count of bad pixels of its NumPy arrays. The host counts unless they are known: a pipeline is faster."""
+        if self._known_bad is not None:
+            return self._known_bad
+        return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in self.wrong.items()})
 
-# Fields that hold objects: their types, in words, too.
-_OBJECTS = (
-    ("camera", Camera, "a Camera"),
-    ("display_camera", (Camera, type(None)), "a Camera or None"),
-    ("overlays", (Overlays, type(None)), "Overlays or None"),
-)
+    @property
+    def wrong(self) -> dict[str, np.ndarray]:
+        """The bad pixels of its NumPy arrays, (H, W) bool by the fields of `BadPixels`; those of motion only where
+        there is motion."""
+        rgb = self.color[..., :3]
+        finite = np.isfinite(rgb)
+        wrong = {"color": ~finite, "clamped": finite & (np.abs(rgb) > HALF_MAX)}
+        of_color = {kind: np.asarray(values.any(-1)) for kind, values in wrong.items()}
+        return of_color | wrong_geometry(self.depth, self.motion)
+
+    def in_device_layout(self) -> RenderedFrame:
+        """Return the frame with its NumPy arrays in the device's layout: color (H, W, 4) float16 with 0 in the fourth
+        channel, missing motion as 0."""
+        rgb = np.clip(np.nan_to_num(self.color[..., :3], posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
+        color = color_of_planes(rgb[..., c] for c in range(3)).base
+        motion = np.zeros((*self.depth.shape, 2), np.float32) if self.motion is None else self.motion
+        return _with_arrays(self, color, self.depth, motion)
 
 
-def checked_frame(frame: RenderedFrame) -> RenderedFrame:
-    """Return `frame` with `time` and `reset` as Python values. Raises GffeError for invalid values, arrays excepted."""
-    if not isinstance(frame, RenderedFrame):
-        require_kind(frame, RenderedFrame, "frame")
-    for name, kind, expected in _OBJECTS:
-        if not isinstance(getattr(frame, name), kind):
-            raise GffeError(f"frame: {name} must be {expected}, got {shown(getattr(frame, name))}")
-    time, reset, jitter, size = frame.time, frame.reset, frame.geometry_jitter, frame.geometry_size
-    plain = type(time) is float and -LARGEST < time < LARGEST and type(reset) is bool
-    if plain and jitter is NO_JITTER and size is None:
-        return frame
-    time, reset, jitter = (
-        require_number(time, "frame: time"),
-        require_bool(reset, "frame: reset"),
-        require_jitter(jitter),
-    )
-    size = None if size is None else require_size(size, "frame: geometry_size", whole=True)
-    checked = replace(frame, time=time, reset=reset, geometry_jitter=jitter, geometry_size=size)
-    checked._known_bad = frame._known_bad
+def _one_of(kinds: type | tuple[type, ...], expected: str) -> Callable[[str, Any], Any]:
+    def checked(name: str, value: Any) -> Any:
+        if not isinstance(value, kinds):
+            raise GffeError(f"frame: {name} must be {expected}, got {shown(value)}")
+        return value
+
     return checked
+
+
+def _seconds(name: str, value: Any) -> float:
+    return value if type(value) is float and -LARGEST < value < LARGEST else require_number(value, f"frame: {name}")
+
+
+def _flag(name: str, value: Any) -> bool:
+    return value if type(value) is bool else require_bool(value, f"frame: {name}")
+
+
+def _jitter(name: str, value: Any) -> tuple[float, float]:
+    return value if value is NO_JITTER else require_jitter(value)
+
+
+def _size(name: str, value: Any) -> tuple[int, int] | None:
+    return None if value is None else require_size(value, f"frame: {name}", whole=True)
+
+
+# Checks of fields that do not depend on where the frame is used; they return the value to keep, of Python's own type.
+_CHECKS: dict[str, Callable[[str, Any], Any]] = {
+    "camera": _one_of(Camera, "a Camera"),
+    "display_camera": _one_of((Camera, type(None)), "a Camera or None"),
+    "overlays": _one_of((Overlays, type(None)), "Overlays or None"),
+    "time": _seconds,
+    "reset": _flag,
+    "geometry_jitter": _jitter,
+    "geometry_size": _size,
+}
+
+
+def _with_arrays(frame: RenderedFrame, color: Any, depth: Any, motion: Any) -> RenderedFrame:
+    """Return `frame` with other arrays of the same pixels."""
+    made = replace(frame, color=color, depth=depth, motion=motion)
+    made._known_bad = frame._known_bad
+    return made
 
 
 def require_motion(frame: RenderedFrame) -> Any:
     """Return the frame's motion. Raises GffeError if it has none and is no reset."""
-    if frame.motion is None and not require_bool(frame.reset, "frame: reset"):
-        time = require_number(frame.time, "frame: time")
-        raise GffeError(f"frame at {time:g} s: motion is missing (only reset frames may lack it)")
+    if frame.motion is None and not frame.reset:
+        raise GffeError(f"frame at {frame.time:g} s: motion is missing (only reset frames may lack it)")
     return frame.motion
 
 
@@ -230,48 +273,10 @@ def is_long(motion: np.ndarray) -> np.ndarray:
         return x * x + y * y >= np.float32(width) * np.float32(width) + np.float32(height) * np.float32(height)
 
 
-@dataclass(frozen=True)
-class HostArrays:
-    """A rendered frame's NumPy arrays, C-contiguous and aligned, as `Upload` takes them.
-
-    color (H, W, 3 or 4) float16 or float32, linear RGB, whose fourth channel is not used; depth (H, W) float32, world
-    units; motion (H, W, 2) float32, pixels, or None. With a `FrameFormat` they have other types of `TYPES`.
-    `known_bad`: their bad pixels, where these are known.
-    """
-
-    color: np.ndarray
-    depth: np.ndarray
-    motion: np.ndarray | None
-    known_bad: BadPixels | None = None
-
-    @property
-    def bad(self) -> BadPixels:
-        """The count of bad pixels. The host counts unless they are known: `Upload` is faster."""
-        if self.known_bad is not None:
-            return self.known_bad
-        return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in self.wrong.items()})
-
-    @property
-    def wrong(self) -> dict[str, np.ndarray]:
-        """The bad pixels, (H, W) bool by the fields of `BadPixels`; those of motion only where there is motion."""
-        rgb = self.color[..., :3]
-        finite = np.isfinite(rgb)
-        wrong = {"color": ~finite, "clamped": finite & (np.abs(rgb) > HALF_MAX)}
-        of_color = {kind: np.asarray(values.any(-1)) for kind, values in wrong.items()}
-        return of_color | wrong_geometry(self.depth, self.motion)
-
-    def in_device_layout(self) -> HostArrays:
-        """Return the arrays in the device's layout: color (H, W, 4) float16 with 0 in the fourth channel, missing
-        motion as 0."""
-        rgb = np.clip(np.nan_to_num(self.color[..., :3], posinf=HALF_MAX, neginf=-HALF_MAX), -HALF_MAX, HALF_MAX)
-        color = color_of_planes(rgb[..., c] for c in range(3)).base
-        motion = np.zeros((*self.depth.shape, 2), np.float32) if self.motion is None else self.motion
-        return replace(self, color=color, motion=motion)
-
-
-def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | None = None) -> HostArrays:
-    """Check a frame's NumPy arrays, by default for the size of its depth, and return them. Arrays that `Upload` can
-    take are not copied.
+def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | None = None) -> RenderedFrame:
+    """Check a frame's NumPy arrays, by default for the size of its depth, and return it with arrays as `Upload` takes
+    them, C-contiguous and aligned: color (H, W, 3 or 4) float16 or float32, whose fourth channel is not used, depth
+    (H, W) and motion (H, W, 2) float32, or None. Arrays that are so already are not copied.
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
@@ -290,7 +295,7 @@ def host_arrays(frame: RenderedFrame, height: int | None = None, width: int | No
     motion = require_motion(frame)
     if motion is not None:
         motion = _floats(require_array(motion, "frame: motion", height, width, 2, kinds="f"))
-    return HostArrays(_uploadable(color), _floats(depth), motion, frame._known_bad)
+    return _with_arrays(frame, _uploadable(color), _floats(depth), motion)
 
 
 def _floats(array: np.ndarray) -> np.ndarray:
@@ -300,9 +305,10 @@ def _floats(array: np.ndarray) -> np.ndarray:
     return np.require(as_float32(array), requirements="A")
 
 
-def described_arrays(frame: RenderedFrame, size: tuple[int, int], geometry: tuple[int, int]) -> HostArrays:
-    """Check a frame's NumPy arrays, which a `FrameFormat` describes, and return them. Those in a type that kernels take
-    are not copied. Depth of uint32 is unorm24. `size`, `geometry`: width and height of color, and of depth and motion.
+def described_arrays(frame: RenderedFrame, size: tuple[int, int], geometry: tuple[int, int]) -> RenderedFrame:
+    """Check a frame's NumPy arrays, which a `FrameFormat` describes, and return it with arrays of the types in `TYPES`.
+    Those in a type that kernels take are not copied. Depth of uint32 is unorm24. `size`, `geometry`: width and height
+    of color, and of depth and motion.
 
     Raises GffeError for a structural fault: a wrong shape or type, or motion missing although the frame is no reset.
     """
@@ -313,7 +319,7 @@ def described_arrays(frame: RenderedFrame, size: tuple[int, int], geometry: tupl
         motion = require_array(motion, "frame: motion", geometry[1], geometry[0], (2, 3, 4))[..., :2]
         motion = _described(motion, "motion", MOTION_TYPES)
     color = _uploadable(color) if color.dtype.kind == "f" else _described(color, "color", ("unorm16", "unorm8"))
-    return HostArrays(color, _described(depth, "depth", DEPTH_TYPES), motion, frame._known_bad)
+    return _with_arrays(frame, color, _described(depth, "depth", DEPTH_TYPES), motion)
 
 
 def _described(array: np.ndarray, name: str, allowed: tuple[str, ...]) -> np.ndarray:

@@ -14,7 +14,7 @@ from gffe_cl.engine.frame.camera import FAR_ALPHA, MOST_ALPHA, Camera, interval_
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
 from gffe_cl.engine.frame.rendered_frame import is_shown_whole
 from gffe_cl.engine.options import MAX_ORDER
-from gffe_cl.engine.stages.base import Board, Step
+from gffe_cl.engine.stages.base import Board, Rest, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
 from gffe_cl.engine.stages.presentation import Presentation
@@ -23,10 +23,9 @@ from gffe_cl.engine.stages.presentation import Presentation
 class RenderedFrames:
     """The last rendered frames of a pipeline.
 
-    `current` and `previous`, None after a reset, are as stages see them; `shown` is the current one with all of its
-    depth. `times` are those since the last reset, newest first, seconds, and `path` their display cameras. `number`,
-    `rests` and `coded` are members of the frame block: the current frame's number, for how many intervals its camera
-    has been the same, and whether all of its colors are encoded. `exposure` is that of the current frame.
+    `current` and `previous`, None after a reset, are as stages see them. `times` are those since the last reset, newest
+    first, seconds, and `path` their display cameras. `number`, `rests` and `coded` are those of `Rest`. `exposure` is
+    that of the current frame.
     """
 
     def __init__(self, board: Board, fps: float):
@@ -35,10 +34,10 @@ class RenderedFrames:
         self._copies = bool(board.facts.get("copies")) and board.sizes.source == board.sizes.target
         self.current: DeviceFrame | None = None
         self.previous: DeviceFrame | None = None
-        self.shown: DeviceFrame | None = None
         self.times: list[float] = []
         self.path: list[Camera] = []
-        self.number = self.rests = self.coded = 0
+        self.number = self.rests = 0
+        self.coded = False
         self.exposure = 1.0
 
     @property
@@ -53,15 +52,15 @@ class RenderedFrames:
         if self.times and time <= self.times[0]:
             raise GffeError(f"frame: time {time:g} s must be after the previous rendered frame's ({self.times[0]:g} s)")
 
-    def take(self, frame: DeviceFrame, shown: DeviceFrame, is_reset: bool, exposure: float) -> None:
+    def take(self, frame: DeviceFrame, is_reset: bool, exposure: float) -> None:
         """Make `frame` the current one, and number it. While the camera moves, history tracking encodes all colors."""
         if is_reset:
             self.current, self.times, self.path = None, [], []
-        self.previous, self.current, self.shown, self.exposure = self.current, frame, shown, exposure
+        self.previous, self.current, self.exposure = self.current, frame, exposure
         self.times, self.path = [frame.time, *self.times[: POSES - 1]], [frame.display_camera, *self.path[: POSES - 1]]
         is_alike = self.previous and self._options.motion and see_alike(self.previous.camera, frame.camera)
         self.rests = min(self.rests + 1, MOST_RESTS) if is_alike else 0
-        self.number, self.coded = self.number % MOST_NUMBER + 1, int(not self.rests)
+        self.number, self.coded = self.number % MOST_NUMBER + 1, not self.rests
 
     def forget(self) -> None:
         """Make the current frame one after a reset."""
@@ -79,14 +78,14 @@ class RenderedFrames:
             and given.get("target_position") is None
             and see_alike(self.needed.camera, camera)
         )
-        rest = self.number, self.rests, stays, self.coded
+        rest = Rest(self.number, self.rests, stays, self.coded)
         times = self.times[: MAX_ORDER + 1]
         return Step(self.needed, self.previous, times, camera, time, alpha, self.exposure, rest=rest, **given)
 
     def note_made(self, step: Step) -> None:
         """Note that a new frame was made: unless points at rest stay, all colors are encoded now."""
-        if not step.rest[2]:
-            self.coded = 1
+        if not step.rest.stays:
+            self.coded = True
 
     @property
     def interval(self) -> float:
@@ -178,8 +177,7 @@ class Display:
 
     def show(self, with_color: bool) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
         """Return color, depth and motion of the current frame as displayed, color as rendered unless `with_color`."""
-        frame = self._frames.shown
-        assert frame is not None  # as there is a current one
+        frame = self._frames.needed.shown
         if not (stage := self.resampling):
             return frame.buffers
         stage.present(frame, self._frames.previous, with_color)

@@ -34,7 +34,7 @@ from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
 from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
-from gffe_cl.engine.stages.intake import Intake, prepare
+from gffe_cl.engine.stages.intake import Intake
 from gffe_cl.engine.stages.measures import SceneCuts
 from gffe_cl.engine.stages.memory import footprint, require_room
 
@@ -232,10 +232,8 @@ class Pipeline:
         Raises GffeError for fields that do not match `RenderedFrame`, wrong shapes, missing motion, a time that
         does not increase, or events that cannot be waited for; the pipeline is then as it was before.
         """
-        prepared = prepare(
-            frame, self.sizes, self.device, bool(self.options.upscale), self.format, zero_copy, self.frames.previous
-        )
-        frame = prepared.frame
+        if not isinstance(frame, RenderedFrame):
+            require_kind(frame, RenderedFrame, "frame")
         events = adopted_events(wait_for, self.device.context, "submit: wait_for")
         if not frame.reset:
             self.frames.require_later(frame.time)
@@ -245,9 +243,11 @@ class Pipeline:
         wait_for_all(self.device.queue, events)
         board, frames = self.board, self.frames
         before = frames.previous, frames.current
-        last = (None, frames.times, None) if frame.reset else (frames.current, frames.times, frames.shown)
-        taken, shown = self.intake.take(prepared, *last, self._exposure)
-        frames.take(taken, shown, frame.reset, self._exposure)
+        previous, exposure = None if frame.reset else frames.current, self._exposure
+        taken = self.intake.take(
+            frame, previous, frames.times, format=self.format, exposure=exposure, zero_copy=zero_copy
+        )
+        frames.take(taken, frame.reset, exposure)
         board.swap()
         board.show(taken, frames.previous)
         worked = self._take_rendered()
@@ -296,8 +296,16 @@ class Pipeline:
         color = picture or color
         if composition := self.intake.overlaid:
             color = composition.compose(color, 0.0, rendered=True)
-        shown = color, depth, motion, self.device, self.sizes.target
-        return PresentedFrame(frame.display_camera, frame.time, *shown, _event=marker(self.device.queue))
+        return PresentedFrame(
+            frame.display_camera,
+            frame.time,
+            color,
+            depth=depth,
+            motion=motion,
+            _device=self.device,
+            _size=self.sizes.target,
+            _event=marker(self.device.queue),
+        )
 
     @property
     def shown_camera(self) -> Camera:
@@ -372,9 +380,23 @@ class Pipeline:
             self._finish()
             color, worked = composition.compose(color, step.alpha), None
         assert step.camera is not None
-        shown = step.camera, step.time, color, depth, motion, self.device, self.sizes.target
-        about = step.alpha, step.frame.time, dynamic, disoccluded, filled_by, gae, self._unfinished
-        return ExtrapolatedFrame(*shown, *about, _event=worked or marker(self.device.queue))
+        return ExtrapolatedFrame(
+            step.camera,
+            step.time,
+            color,
+            depth=depth,
+            motion=motion,
+            dynamic=dynamic,
+            disoccluded=disoccluded,
+            filled_by=filled_by,
+            gae=gae,
+            alpha=step.alpha,
+            source_time=step.frame.time,
+            _device=self.device,
+            _size=self.sizes.target,
+            _event=worked or marker(self.device.queue),
+            _finish=self._unfinished,
+        )
 
     @property
     def _unfinished(self) -> Callable[[], None] | None:

@@ -11,7 +11,7 @@ from array import array
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
-from typing import Any, ClassVar
+from typing import Any, ClassVar, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -58,6 +58,17 @@ class Kernel:
         return {**self.reads, **self.writes}
 
 
+class Rest(NamedTuple):
+    """What is known of the camera at rest, members of the frame block: the rendered frame's number, for how many
+    intervals its camera has been the same, whether points at rest stay where they are in the new frame, and whether all
+    of the rendered frame's colors are encoded."""
+
+    number: int = 0
+    rests: int = 0
+    stays: bool = False
+    coded: bool = False
+
+
 @dataclass
 class Step:
     """Input of a stage: a rendered frame (after `submit`), or a new frame extrapolated from it.
@@ -76,8 +87,8 @@ class Step:
         Replaces the result of position prediction.
     geometry : mapping of name to array
         Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
-    rest : tuple
-        The members number, rests, stays and coded of the frame block.
+    rest : Rest
+        What is known of the camera at rest.
     given : mapping of name to numbers
         Its other members that do not follow from the above: overlays that the rendered frame brings, or those that
         convert an engine's buffers (`conversion`).
@@ -92,7 +103,7 @@ class Step:
     exposure: float = 1.0
     target_position: np.ndarray | None = None
     geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
-    rest: tuple[int, int, int, int] = (0, 0, 0, 0)
+    rest: Rest = field(default_factory=Rest)
     given: Mapping[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:

@@ -393,7 +393,7 @@ class ExtrapolatedBuffers(Owner):
 class DeviceFrame:
     """A rendered frame on the device: `color` half ×4, `depth` float, `motion` float ×2 (OpenCL buffers); `camera` in
     pixels of these images, `display_camera` in pixels of the display; `geometry_jitter` that depth and motion had,
-    pixels of color."""
+    pixels of color; `whole`: the frame with all of its depth, where this one lacks what keeps its place."""
 
     color: cl.Buffer
     depth: cl.Buffer
@@ -402,6 +402,7 @@ class DeviceFrame:
     display_camera: Camera
     time: float
     geometry_jitter: tuple[float, float] = (0.0, 0.0)  # pixels
+    whole: DeviceFrame | None = None
 
     @classmethod
     def allocate(
@@ -423,6 +424,11 @@ class DeviceFrame:
     @property
     def buffers(self) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
         return self.color, self.depth, self.motion
+
+    @property
+    def shown(self) -> DeviceFrame:
+        """The frame with all of its depth."""
+        return self.whole or self
 
 
 def halved(size: tuple[int, int], times: int) -> tuple[int, int]:

@@ -79,7 +79,7 @@ class BlockWriter:
         camera: Camera | None,
         time: float,
         alpha: float,
-        rest: tuple[int, int, int, int],
+        rest: tuple[int, int, bool, bool],
         given: Mapping[str, Any],
     ) -> array[float]:
         """Return the `Frame` of frame.h, as words, of a rendered frame or, with a `camera`, of a new one. Parameters

@@ -1,12 +1,12 @@
-"""Intake of rendered frames: everything about a frame is checked here before any work on it begins, and then brought to
-the device."""
+"""Intake of rendered frames: what hangs on the pipeline is checked here before any work on a frame begins, and then it
+is brought to the device."""
 
 from __future__ import annotations
 
-import operator
-from collections.abc import Iterable, Iterator, Mapping
-from dataclasses import dataclass, field, replace
-from typing import Any
+from collections.abc import Callable, Container, Iterator, Mapping
+from dataclasses import replace
+from functools import partial
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -24,9 +24,7 @@ from gffe_cl.engine.frame.frame_format import (
 )
 from gffe_cl.engine.frame.rendered_frame import (
     BadPixels,
-    HostArrays,
     RenderedFrame,
-    checked_frame,
     described_arrays,
     display_camera_of,
     host_arrays,
@@ -42,121 +40,6 @@ from gffe_cl.engine.stages.measures import UserInterface
 from gffe_cl.engine.stages.presentation import Composition
 from gffe_cl.engine.stages.upload import Upload
 
-_NAMES = tuple(spec.name for spec in RENDERED)
-
-
-@dataclass
-class PreparedFrame:
-    """A rendered frame without structural faults.
-
-    Attributes
-    ----------
-    frame : RenderedFrame
-        As given, with `time` and `reset` as Python values.
-    display_camera : Camera
-        In pixels of the display.
-    buffers : dict of str to cl.Buffer
-        Device buffers of color, depth and motion, the latter missing if a reset has none; empty for NumPy arrays.
-    arrays : HostArrays or None
-        NumPy arrays as `Upload` takes them; None for device buffers.
-    geometry : (int, int)
-        Width and height of depth and motion.
-    format : FrameFormat or None
-        The description of its buffers; also of geometry that only the frame says to be smaller.
-    types : dict of str to str or None
-        With a `FrameFormat`: the types of the values given, by name as `TYPES` has them; None for missing motion.
-    channels : dict of str to int
-        With a `FrameFormat`: the channels of the values given.
-    zero_copy : bool
-        Whether arrays are to be used in place.
-    """
-
-    frame: RenderedFrame
-    display_camera: Camera
-    buffers: dict[str, cl.Buffer]
-    arrays: HostArrays | None
-    geometry: tuple[int, int]
-    format: FrameFormat | None
-    types: dict[str, str | None] = field(default_factory=dict)
-    channels: dict[str, int] = field(default_factory=dict)
-    zero_copy: bool = False
-
-
-def prepare(
-    frame: RenderedFrame,
-    sizes: Sizes,
-    device: Device,
-    jittered: bool = False,
-    format: FrameFormat | None = None,
-    zero_copy: bool = False,
-    earlier: DeviceFrame | None = None,
-) -> PreparedFrame:
-    """Return `frame` ready to be taken by a pipeline of `sizes` on `device`. If it is `jittered`, a display camera that
-    is not given is the rendered one without jitter. `format` describes its buffers if they differ from ours. Buffers of
-    an `earlier` frame of the pipeline are known to be right.
-
-    Raises GffeError for a structural fault: invalid values, shapes or types, buffers that the device cannot use, motion
-    missing although the frame is no reset, or two cameras of different poses.
-    """
-    frame = checked_frame(frame)
-    zero_copy = zero_copy is not False and require_bool(zero_copy, "submit: zero_copy")
-    plain = frame
-    if jittered and frame.display_camera is None:
-        plain = replace(frame, camera=without_jitter(frame.camera, sizes.source))
-    display_camera = display_camera_of(plain, sizes.source, sizes.target)
-    require_one_pose(frame.camera, display_camera)
-    geometry = sizes.source
-    if format is not None or frame.geometry_size is not None:
-        geometry = require_render_size(format, sizes.source, frame.geometry_size)
-        if geometry != sizes.source and format is None:
-            format = FrameFormat()
-    if format is None:
-        if earlier and all(map(operator.is_, (frame.color, frame.depth, frame.motion), earlier.buffers)):
-            buffers = dict(zip(_NAMES, earlier.buffers, strict=True))
-            return PreparedFrame(frame, display_camera, buffers, None, geometry, None)
-        buffers = _given(frame, RENDERED, sizes, sizes, device)
-    else:
-        buffers = _given(frame, described_specs(format), sizes, replace(sizes, source=geometry), device)
-    arrays = types = channels = None
-    if not any(buffers.values()):
-        buffers, width, height = {}, *sizes.source
-        if format is None:
-            arrays = host_arrays(frame, height, width)
-        else:
-            arrays = described_arrays(frame, sizes.source, geometry)
-            given = {spec.name: getattr(arrays, spec.name) for spec in RENDERED}
-            types = {name: None if array is None else type_of(array) for name, array in given.items()}
-            channels = {"color": arrays.color.shape[2], "motion": 2}
-    else:
-        if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
-            del buffers["motion"]
-        if other := next((name for name, buffer in buffers.items() if not buffer), None):
-            raise GffeError(
-                "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
-                f" got {other} as {shown(getattr(frame, other))}"
-            )
-        if format:
-            types = {s.name: getattr(format, f"{s.name}_type") if s.name in buffers else None for s in RENDERED}
-            channels = {"color": format.color_channels, "motion": format.motion_channels}
-    return PreparedFrame(
-        frame, display_camera, buffers, arrays, geometry, format, types or {}, channels or {}, zero_copy
-    )
-
-
-def _given(
-    frame: RenderedFrame,
-    specs: Iterable[BufferSpec],
-    sizes: Sizes,
-    small: Sizes,
-    device: Device,
-) -> dict[str, Any]:
-    """Return the device buffers that a frame gives, by name, with None for arrays. `small`: the sizes with those of
-    depth and motion."""
-    return {
-        spec.name: given_buffer(getattr(frame, spec.name), spec, sizes if spec.name == "color" else small, device)
-        for spec in specs
-    }
-
 
 def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
     """Return the descriptions of color, depth and motion as device buffers of an engine."""
@@ -168,8 +51,34 @@ def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
     )
 
 
-def _three(buffers: Mapping[str, cl.Buffer]) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
-    return buffers["color"], buffers["depth"], buffers["motion"]
+class About(NamedTuple):
+    """What a frame has beside its buffers, by the fields of `DeviceFrame`."""
+
+    camera: Camera
+    display_camera: Camera
+    time: float
+    geometry_jitter: tuple[float, float]
+
+
+class Told(NamedTuple):
+    """Types of the values given, by name as `TYPES` has them, None for missing motion; and their channels."""
+
+    types: dict[str, str | None]
+    channels: dict[str, int]
+
+
+_Convert = Callable[[DeviceFrame], Step]  # the step with the numbers that convert a frame into these buffers
+
+
+def _told_by_arrays(arrays: RenderedFrame) -> Told:
+    given = {spec.name: getattr(arrays, spec.name) for spec in RENDERED}
+    types = {name: None if array is None else type_of(array) for name, array in given.items()}
+    return Told(types, {"color": arrays.color.shape[2], "motion": 2})
+
+
+def _told_by(format: FrameFormat, given: Container[str]) -> Told:
+    types = {s.name: getattr(format, f"{s.name}_type") if s.name in given else None for s in RENDERED}
+    return Told(types, {"color": format.color_channels, "motion": format.motion_channels})
 
 
 class Intake:
@@ -211,24 +120,95 @@ class Intake:
         return self._copied_bytes + (self._upload.copied_bytes if self._upload else 0)
 
     def take(
-        self, prepared: PreparedFrame, previous: DeviceFrame | None, times: list[float], before: DeviceFrame | None,
-        exposure: float,
-    ) -> tuple[DeviceFrame, DeviceFrame]:  # fmt: skip
-        """Enqueue what brings a frame to the device. Return it for the stages, without what keeps its place, and whole.
-        `previous`, `before`: the frame before in these forms, None after a reset; `times`: those of the frames before,
-        newest first, seconds. Raises GffeError for overlays of wrong shapes."""
+        self,
+        frame: RenderedFrame,
+        previous: DeviceFrame | None,
+        times: list[float],
+        *,
+        format: FrameFormat | None = None,
+        exposure: float = 1.0,
+        zero_copy: bool = False,
+    ) -> DeviceFrame:
+        """Enqueue what brings a frame to the device, and return it there for the stages, without what keeps its place,
+        which its `whole` has. `previous`: the frame before, None after a reset; `times`: those of the frames before,
+        newest first, seconds; `format`: of its buffers, if it differs from ours; `zero_copy`: whether arrays are to be
+        used in place.
+
+        Raises GffeError, and enqueues nothing, for a structural fault: wrong shapes or types, buffers that the device
+        cannot use, motion missing although the frame is no reset, or two cameras of different poses.
+        """
         board = self._board
         assert board is not None  # `begin` was called
-        overlays, detection = prepared.frame.overlays, board.stages.get(UserInterface.name)
-        if not board.options.overlays:
-            overlays = None
+        zero_copy = zero_copy is not False and require_bool(zero_copy, "submit: zero_copy")
+        display_camera = self._display_camera(frame, bool(board.options.upscale))
+        geometry = self.sizes.source
+        if format is not None or frame.geometry_size is not None:
+            geometry = require_render_size(format, self.sizes.source, frame.geometry_size)
+            if geometry != self.sizes.source and format is None:
+                format = FrameFormat()
+        given = self._given(frame, format, geometry)
+        arrays = None if given else self._arrays(frame, format, geometry)
+        overlays, detection = frame.overlays if board.options.overlays else None, board.stages.get(UserInterface.name)
         if self.composition is None and (overlays or detection):
             self.composition = Composition(board)
         layers = self.composition.prepared(overlays) if self.composition else {}
-        shown = self._on_device(prepared, previous, times)
+
+        self.geometry, jitter = geometry, frame.geometry_jitter
+        if jitter is not NO_JITTER:
+            jitter = jitter_in_color(jitter, self.sizes.source, geometry)
+        about = About(frame.camera, display_camera, frame.time, jitter)
+        convert = None
+        if format:
+            told = _told_by_arrays(arrays) if arrays else _told_by(format, given)
+            convert = partial(self._conversion, format, told, previous, times)
+        if arrays:
+            self._count_conversions(frame, arrays)
+            shown = self._of_arrays(arrays, about, convert, format, zero_copy)
+        else:
+            shown = self._of_buffers(given, about, convert, format)
         if detection:
-            layers = detection.found(layers, shown, before, exposure)
-        return (self.composition.take(layers, shown) if self.composition else shown), shown
+            layers = detection.found(layers, shown, previous and previous.shown, exposure)
+        taken = self.composition.take(layers, shown) if self.composition else shown
+        if taken is not shown:
+            taken.whole = shown
+        return taken
+
+    def _display_camera(self, frame: RenderedFrame, jittered: bool) -> Camera:
+        """Return the display camera, in pixels of the display. If frames are `jittered`, one that is not given is the
+        rendered one without jitter."""
+        plain = frame
+        if jittered and frame.display_camera is None:
+            plain = replace(frame, camera=without_jitter(frame.camera, self.sizes.source))
+        display_camera = display_camera_of(plain, self.sizes.source, self.sizes.target)
+        require_one_pose(frame.camera, display_camera)
+        return display_camera
+
+    def _given(
+        self, frame: RenderedFrame, format: FrameFormat | None, geometry: tuple[int, int]
+    ) -> dict[str, cl.Buffer]:
+        """Return the device buffers that a frame gives, by name, without missing motion; nothing for NumPy arrays."""
+        small = self.sizes if geometry == self.sizes.source else replace(self.sizes, source=geometry)
+        buffers: dict[str, Any] = {
+            spec.name: given_buffer(
+                getattr(frame, spec.name), spec, self.sizes if spec.name == "color" else small, self.device
+            )
+            for spec in (described_specs(format) if format else RENDERED)
+        }
+        if not any(buffers.values()):
+            return {}
+        if buffers["color"] and buffers["depth"] and require_motion(frame) is None:
+            del buffers["motion"]
+        if other := next((name for name, buffer in buffers.items() if not buffer), None):
+            raise GffeError(
+                "frame: color, depth and motion must be all NumPy arrays or all device buffers,"
+                f" got {other} as {shown(getattr(frame, other))}"
+            )
+        return buffers
+
+    def _arrays(self, frame: RenderedFrame, format: FrameFormat | None, geometry: tuple[int, int]) -> RenderedFrame:
+        """Return the frame with its NumPy arrays as `Upload` takes them."""
+        width, height = self.sizes.source
+        return described_arrays(frame, self.sizes.source, geometry) if format else host_arrays(frame, height, width)
 
     def leave(self, done: cl.Event, frames: Any) -> None:
         """Keep `frames` until `done` is complete."""
@@ -241,28 +221,16 @@ class Intake:
         """The stage that lays overlays over pictures, if the last frame brought any."""
         return self.composition if self.composition and self.composition.active else None
 
-    def _on_device(self, prepared: PreparedFrame, previous: DeviceFrame | None, times: list[float]) -> DeviceFrame:
-        """Enqueue what brings a frame to the device, and return it there. Parameters are those of `take`."""
-        frame, self.geometry = prepared.frame, prepared.geometry
-        jitter = frame.geometry_jitter
-        if jitter is not NO_JITTER:
-            jitter = jitter_in_color(jitter, self.sizes.source, prepared.geometry)
-        seen = frame.camera, prepared.display_camera, frame.time, jitter
-        if prepared.arrays is None:
-            return self._of_buffers(prepared, seen, previous, times)
-        upload, host = self._uploading(), prepared.arrays
-        self._count_conversions(frame, host)
-        if prepared.format:
-            color, depth, motion = self._slot()
-            taken = DeviceFrame(color, depth, motion, *seen)
-            upload.take(host, taken, step=self._conversion(prepared, taken, previous, times),
-                        is_dilated=prepared.format.motion_dilated)  # fmt: skip
-            return taken
-        shared = upload.shared(host) if prepared.zero_copy else {}
+    def _of_arrays(
+        self, arrays: RenderedFrame, about: About, convert: _Convert | None, format: FrameFormat | None, in_place: bool
+    ) -> DeviceFrame:
+        """Enqueue the upload of NumPy arrays, and return the frame on the device."""
+        upload = self._uploading()
+        shared = upload.shared(arrays) if in_place and not format else {}
         self.reads_arrays |= bool(shared)
-        color, depth, motion = _three(shared) if len(shared) == len(RENDERED) else self._slot(shared)
-        taken = DeviceFrame(color, depth, motion, *seen)
-        upload.take(host, taken, shared)
+        taken = DeviceFrame(**(shared if len(shared) == len(RENDERED) else self._slot(shared)), **about._asdict())
+        step = convert(taken) if convert else None
+        upload.take(arrays, taken, shared, step, is_dilated=bool(format and format.motion_dilated))
         return taken
 
     def conversions(self, format: FrameFormat | None) -> Iterator[tuple[Owner, BufferSpec, tuple[int, int]]]:
@@ -281,38 +249,35 @@ class Intake:
         return self._upload
 
     def _of_buffers(
-        self, prepared: PreparedFrame, seen: tuple, previous: DeviceFrame | None, times: list[float]
+        self, given: dict[str, cl.Buffer], about: About, convert: _Convert | None, format: FrameFormat | None
     ) -> DeviceFrame:
         """Return the frame of device buffers: with the buffers themselves, or converted ones."""
-        given, format = prepared.buffers, prepared.format
-        if format is None:
-            return DeviceFrame(given["color"], given["depth"], given.get("motion") or self._zero_motion(), *seen)
-        ours = format.is_ours
-        ours["geometry"] &= prepared.geometry == self.sizes.source
+        ours = format.is_ours if format else {"color": True, "geometry": True}
+        ours["geometry"] &= self.geometry == self.sizes.source
         converted = {n: b for n, b in given.items() if not ours["color" if n == "color" else "geometry"]}
         kept = {name: buffer for name, buffer in given.items() if name not in converted}
         if "depth" in kept and "motion" not in given:
             kept["motion"] = self._zero_motion()
-        if not converted:
-            color, depth, motion = _three(kept)
-            return DeviceFrame(color, depth, motion, *seen)
-        color, depth, motion = self._slot(kept)
-        taken = DeviceFrame(color, depth, motion, *seen)
-        step = self._conversion(prepared, taken, previous, times)
-        self._uploading().convert(converted, taken, step, format.motion_dilated)
+        if not (converted and convert and format):
+            return DeviceFrame(**kept, **about._asdict())
+        taken = DeviceFrame(**self._slot(kept), **about._asdict())
+        self._uploading().convert(converted, taken, convert(taken), format.motion_dilated)
         return taken
 
     def _conversion(
-        self, prepared: PreparedFrame, taken: DeviceFrame, previous: DeviceFrame | None, times: list[float]
+        self,
+        format: FrameFormat,
+        told: Told,
+        previous: DeviceFrame | None,
+        times: list[float],
+        taken: DeviceFrame,
     ) -> Step:
         """Return the step with the numbers that convert a frame into the buffers of `taken`."""
         jitters = taken.geometry_jitter, previous.geometry_jitter if previous else taken.geometry_jitter
-        assert prepared.format is not None  # as it is only called with one
-        told = prepared.types, prepared.channels
-        given = conversion(prepared.format, self.sizes.source, *told, *jitters, prepared.geometry)
+        given = conversion(format, self.sizes.source, told.types, told.channels, *jitters, self.geometry)
         return Step(taken, previous, [taken.time, *times], given=given)
 
-    def _slot(self, instead: Mapping[str, cl.Buffer] = {}) -> tuple[cl.Buffer, cl.Buffer, cl.Buffer]:
+    def _slot(self, instead: Mapping[str, cl.Buffer] = {}) -> dict[str, cl.Buffer]:
         """Return buffers of its own for a frame, but for those given `instead`, by name. Two sets are used in turn."""
         if len(self._slots) < 2:
             motion = self._slots[0].motion if self._slots else None  # nothing reads that of the frame before
@@ -320,9 +285,9 @@ class Intake:
             self._slots.append(made)
         else:
             self._slots.append(self._slots.pop(0))
-        return _three({spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED} | dict(instead))
+        return {spec.name: getattr(self._slots[-1], spec.name) for spec in RENDERED} | dict(instead)
 
-    def _count_conversions(self, frame: RenderedFrame, host: HostArrays) -> None:
+    def _count_conversions(self, frame: RenderedFrame, host: RenderedFrame) -> None:
         """Count the bytes of arrays that the host converted to another type or layout."""
         for spec in RENDERED:
             array, made = getattr(frame, spec.name), getattr(host, spec.name)

@@ -18,7 +18,6 @@ from gffe_cl.engine.frame.rendered_frame import (
     OVERLAYS,
     Overlays,
     RenderedFrame,
-    checked_frame,
     display_camera_of,
     host_arrays,
     is_shown_whole,
@@ -226,7 +225,9 @@ def present(
     GffeError
         If the display camera has another pose than the render camera, for wrong shapes, or for device buffers.
     """
-    frame, previous = checked_frame(frame), previous if previous is None else checked_frame(previous)
+    require_kind(frame, RenderedFrame, "frame")
+    if previous is not None:
+        require_kind(previous, RenderedFrame, "frame")
     for array in (frame.color, frame.depth):
         if not isinstance(array, np.ndarray):
             raise GffeError("present: expected NumPy arrays (in a pipeline: Pipeline.present)")

@@ -9,7 +9,7 @@ from dataclasses import fields
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays
+from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RENDERED, XY, BufferSpec, DeviceFrame
@@ -108,7 +108,7 @@ class Upload(Stage):
 
     def take(
         self,
-        arrays: HostArrays,
+        arrays: RenderedFrame,
         frame: DeviceFrame,
         shared: Container[str] = (),
         step: Step | None = None,
@@ -133,8 +133,8 @@ class Upload(Stage):
             self._take_geometry(places, frame)
         if copied and self._in_place:
             self.device.queue.finish()  # kernels read the arrays
-        if arrays.known_bad:
-            self._bad += arrays.known_bad
+        if arrays._known_bad:
+            self._bad += arrays._known_bad
         elif copied:
             self._count()
 
@@ -184,7 +184,7 @@ class Upload(Stage):
         """Return whether depth and motion are smaller than color."""
         return (step.given["geometry_width"], step.given["geometry_height"]) != self.sizes.source
 
-    def shared(self, arrays: HostArrays) -> dict[str, cl.Buffer]:
+    def shared(self, arrays: RenderedFrame) -> dict[str, cl.Buffer]:
         """Return those of the arrays that kernels can use in place, by name, depth and motion both or neither: on a
         CPU, in the layout of `RENDERED`, and beginning at an aligned address. The buffers keep the arrays alive."""
         given = {spec.name: getattr(arrays, spec.name) for spec in RENDERED}

@@ -167,8 +167,7 @@ class ColorCode(Stage):
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:
-        *_, coded = step.rest
-        if not coded:  # what is exported asks the frame block
+        if not step.rest.coded:  # what is exported asks the frame block
             self.launch("encode_colors", step)
 
 

@@ -94,6 +94,8 @@ def test_a_frame_of_buffers_costs_the_host_little(device, seen, monkeypatch):
     entered, set_again = [], []
     for k, number in enumerate((0, 1, 2, 0, 1, 0, 1, 0, 1)):
         frame = replace(seen[number], time=k / FPS, reset=k in (0, 5))
+        buffers = {name: getattr(sets[number], name) for name in ("color", "depth", "motion")}
+        of_buffers = replace(frame, **buffers)
         with monkeypatch.context() as patch:
             for name in (name for name in vars(validation) if name.startswith("require_")):
                 for module in (intake, rendered_frame, frame_format, pipeline_module):
@@ -101,8 +103,7 @@ def test_a_frame_of_buffers_costs_the_host_little(device, seen, monkeypatch):
                         patch.setattr(
                             module, name, lambda *a, f=function, **more: (entered.append(f), f(*a, **more))[1]
                         )
-            buffers = {name: getattr(sets[number], name) for name in ("color", "depth", "motion")}
-            again.submit(replace(frame, **buffers))
+            again.submit(of_buffers)
             assert not entered
             arrays.submit(frame)
             assert len(entered) == 3

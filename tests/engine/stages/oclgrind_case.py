@@ -10,13 +10,14 @@ from shutil import copytree
 
 import numpy as np
 import pyopencl as cl
+from device_arrays import of_arrays
 from network_stages import made_stages
 from scn_models import integer_model
 from synthetic import camera
 from twin_cases import frames, run
 
 from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat, conversion
-from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, Overlays
+from gffe_cl.engine.frame.rendered_frame import BadPixels, Overlays
 from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
@@ -100,7 +101,7 @@ def upload(device):
             stage._in_place = in_place
             color = np.full((*size[::-1], channels), np.nan, dtype)
             depth, motion = np.zeros(size[::-1], np.float32), np.ones((*size[::-1], 2), np.float32)
-            stage.take(HostArrays(color, depth, motion), frame)
+            stage.take(of_arrays(color, depth, motion), frame)
             assert stage.take_bad_pixels() == BadPixels(color=depth.size, depth=depth.size)
         described(Upload(board), frame, size)
 

@@ -6,12 +6,11 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
-from device_arrays import copy_to
+from device_arrays import copy_to, of_arrays
 from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
-from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import BY_FIXED, DeviceFrame, Sizes
 from gffe_cl.engine.stages.frame_block import mapping
@@ -79,7 +78,7 @@ def test_kernel_equals_its_twin(device, size, render_size, names):
     board = Board(device, Sizes(render_size, size))
     stage = Composition(board)
     source = DeviceFrame.allocate(device, render_size, through, display, 0.0)
-    copy_to(device, source, HostArrays(source_color, depth, np.zeros((height, width, 2), np.float32)))
+    copy_to(device, source, of_arrays(source_color, depth, np.zeros((height, width, 2), np.float32)))
     frame = {s.name: rng.integers(0, 9, s.shape(board.sizes)).astype(s.dtype) for s in board.frame.buffers}
     for name, array in frame.items():
         board.frame.upload(name, array)

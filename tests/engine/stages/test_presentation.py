@@ -5,12 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import twins
-from device_arrays import copy_to
+from device_arrays import copy_to, of_arrays
 from synthetic import Rect, Rects, camera, psnr
 from twin_cases import assert_close
 
 from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
-from gffe_cl.engine.frame.rendered_frame import HostArrays, require_one_pose
+from gffe_cl.engine.frame.rendered_frame import require_one_pose
 from gffe_cl.engine.frame.window import FULL, Window
 from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.base import Board
@@ -56,7 +56,7 @@ def test_kernel_equals_its_twin(device, size, render_size, window):
     maps = (mapping(display, through), mapping(through, display), mapping(before, before.scaled(1.3, 1.1)))
     stage = Presentation(Board(device, Sizes(render_size, size)))
     frame = DeviceFrame.allocate(device, render_size, through, display, 0.0)
-    copy_to(device, frame, HostArrays(color, depth, motion))
+    copy_to(device, frame, of_arrays(color, depth, motion))
     previous = replace(frame, camera=before, display_camera=before.scaled(1.3, 1.1))
     stage.present(frame, previous)
     expected = twins.present(color, depth, motion, size, *maps)

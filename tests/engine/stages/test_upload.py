@@ -4,6 +4,7 @@ import numpy as np
 import pyopencl as cl
 import pytest
 import twins
+from device_arrays import of_arrays
 from synthetic import camera
 
 from gffe_cl import FrameFormat, Options, Pipeline, RenderedFrame
@@ -17,7 +18,7 @@ from gffe_cl.engine.frame.frame_format import (
     TYPES,
     conversion,
 )
-from gffe_cl.engine.frame.rendered_frame import BadPixels, HostArrays, host_arrays
+from gffe_cl.engine.frame.rendered_frame import BadPixels, host_arrays
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
@@ -208,7 +209,7 @@ def test_described_frames_equal_their_twin(device, stage_of, described):
         last = previous if number % 3 else None
         step = Step(taken, last, [0.1, 0.0][: 1 + bool(last)], given=given)
         if number % 2 and channels["motion"] == 2:
-            stage.take(HostArrays(color, depth, motion), taken, step=step)
+            stage.take(of_arrays(color, depth, motion), taken, step=step)
         else:
             arrays = {"color": color, "depth": depth} | ({} if motion is None else {"motion": motion})
             buffers = {name: cl.Buffer(device.context, flags, hostbuf=array) for name, array in arrays.items()}
@@ -262,9 +263,9 @@ def test_smaller_geometry_equals_its_twin(device, stage_of, size, geometry):
         if of_host:
             whole = conversion(format, size, types, {"color": 3, "motion": 2})
             many = np.full(size[::-1], -1, np.float32), np.full((*size[::-1], 2), np.nan, np.float32)
-            stage.take(HostArrays(color, *many), taken, step=Step(taken, None, [0.0], given=whole))
+            stage.take(of_arrays(color, *many), taken, step=Step(taken, None, [0.0], given=whole))
             assert stage.take_bad_pixels() == BadPixels(*bad_colors, many[0].size, many[0].size)
-            stage.take(HostArrays(color, depth, motion), taken, step=step)
+            stage.take(of_arrays(color, depth, motion), taken, step=step)
         else:
             arrays = {"color": color, "depth": depth, "motion": motion}
             buffers = {name: cl.Buffer(device.context, flags, hostbuf=array) for name, array in arrays.items()}
@@ -296,7 +297,7 @@ def test_undone_dilation_equals_its_twin(device, stage_of, size, geometry, has_p
     made = twins.undilated(moved, z, static if has_previous else None)
     expected = (z, made) if geometry == size else twins.spread_geometry(rgb, z, made, given)
     step = Step(taken, previous if has_previous else None, [0.1, 0.0][: 1 + has_previous], given=given)
-    stage.take(HostArrays(color, depth, motion), taken, step=step, is_dilated=True)
+    stage.take(of_arrays(color, depth, motion), taken, step=step, is_dilated=True)
     for array, buffer in zip(expected, (taken.depth, taken.motion), strict=True):
         found = np.empty_like(array)
         cl.enqueue_copy(device.queue, found, buffer)

@@ -4,7 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from device_arrays import copy_to
+from device_arrays import copy_to, of_arrays
 from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
@@ -12,7 +12,6 @@ from gffe_cl.captures.doctor import user_interface as twin
 from gffe_cl.captures.doctor.quick import check
 from gffe_cl.captures.sequence.post_effects import user_interface, with_ui
 from gffe_cl.engine.export.recording import record
-from gffe_cl.engine.frame.rendered_frame import HostArrays
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.measures import UserInterface
@@ -60,7 +59,7 @@ def test_kernels_equal_their_twin(device, size):
         depth, depth_prev = depth.astype(np.float32), depth_prev.astype(np.float32)
         given = (rng.random(shape) < 0.05).astype(np.uint8) if k == 2 else None
         for frame, arrays in zip(buffers, ((color, depth), (color_prev, depth_prev)), strict=True):
-            copy_to(device, frame, HostArrays(*arrays, motion))
+            copy_to(device, frame, of_arrays(*arrays, motion))
         layers = stage.found({} if given is None else {"fixed_mask": given}, *buffers, 1.7)
         evidence = twin.count_evidence(evidence, color, color_prev, depth, depth_prev, motion, 1.7)
         np.testing.assert_array_equal(stage.read("evidence"), evidence)
