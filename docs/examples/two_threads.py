@@ -6,13 +6,13 @@ uses it with a renderer and a window. Alone it simulates both, with a clock that
     python docs/examples/two_threads.py --uneven 8 --stall 2:0.5 --resize 4 --cut 6 --lose 8:1
 """
 
-import argparse
 import queue
 import threading
 import time
 from dataclasses import dataclass, field
 
 import numpy as np
+import typer
 
 import gffe_cl as gffe
 
@@ -251,30 +251,25 @@ def simulate(events, rate=30.0, shown=60.0, variable=False, device=None):
     return figures(display.shown, pacer, shared), display.shown
 
 
-def main():
-    pairs = {"type": lambda text: tuple(map(float, text.split(":"))), "nargs": "*", "default": ()}
-    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    for name, value, about in (
-        ("rate", 30, "rendered frames per second"),
-        ("shown", 60, "refreshes per second"),
-        ("seconds", 10, "length of the simulation"),
-        ("rendering", 25, "ms of a rendered frame"),
-        ("taking", 1, "ms to take a rendered frame"),
-        ("making", 4, "ms of a new frame"),
-        ("uneven", 0, "ms by which a rendered frame may take longer"),
-    ):
-        parser.add_argument(f"--{name}", type=float, default=value, help=f"{about} (default: {value})")
-    parser.add_argument("--variable", action="store_true", help="the display has a variable rate (VRR)")
-    parser.add_argument("--stall", **pairs, help="WHEN:SECONDS, a rendered frame that takes long")
-    parser.add_argument("--lose", **pairs, help="WHEN:SECONDS, no display")
-    parser.add_argument("--cut", type=float, nargs="*", default=(), help="WHEN")
-    parser.add_argument("--resize", type=float, nargs="*", default=(), help="WHEN")
-    given = parser.parse_args()
-    times = (number / 1e3 for number in (given.rendering, given.taking, given.making, given.uneven))
-    events = Events(given.seconds, *times, given.stall, given.lose, given.cut, given.resize)
-    for name, value in simulate(events, given.rate, given.shown, given.variable)[0].items():
+def pairs(text):
+    """Read "WHEN:SECONDS WHEN:SECONDS …"."""
+    return tuple(tuple(map(float, word.split(":"))) for word in text.split())
+
+
+def main(
+    rate: float = 30, shown: float = 60, seconds: float = 10, rendering: float = 25, taking: float = 1,
+    making: float = 4, uneven: float = 0, variable: bool = False, stall: str = "", lose: str = "", cut: str = "",
+    resize: str = "",
+):  # fmt: skip
+    """Simulate a renderer (`rate`, frames per second) and a display (`shown`), of a variable rate if `variable`.
+    `rendering`, `taking`, `making`, `uneven`: ms of a rendered frame, to take it, of a new frame, and by which rendered
+    ones may take longer. `stall`, `lose`: WHEN:SECONDS of long frames and of no display; `cut`, `resize`: WHEN."""
+    times = (number / 1e3 for number in (rendering, taking, making, uneven))
+    cuts, resizes = (tuple(map(float, text.split())) for text in (cut, resize))
+    events = Events(seconds, *times, pairs(stall), pairs(lose), cuts, resizes)
+    for name, value in simulate(events, rate, shown, variable)[0].items():
         print(f"{name:>17} {value:.2f} ms" if isinstance(value, float) else f"{name:>17} {value}")
 
 
 if __name__ == "__main__":
-    main()
+    typer.run(main)

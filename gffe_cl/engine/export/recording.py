@@ -32,8 +32,9 @@ from gffe_cl.engine.stages.upscaling import Upscaling
 
 MOST_PIXELS = 16384  # each way, of the images that C takes
 # Rendered and extrapolated images: tiny, and as large as C takes them, for there are levels that others do not have.
-_SIZES = ((51, 29), (67, 39)), ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
-_LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion"), ("effects",)  # that frames bring
+_SIZES = ((51, 29), (67, 39)), ((13003, 3), (5, MOST_PIXELS))
+_GEOMETRY = "depth", "motion"
+_LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion")  # that frames bring
 
 
 @dataclass(frozen=True)
@@ -162,13 +163,10 @@ class _Rehearsal:
             ("compose", lambda: composition.compose(shown, step.alpha)),
             ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
             ("convert_color", lambda: self._convert(rendered, "color")),
-            ("convert_geometry", lambda: self._convert(rendered, "depth", "motion")),
-            ("convert_small", lambda: self._convert(rendered, "depth", "motion", is_small=True)),
-            ("convert_dilated", lambda: self._convert(rendered, "depth", "motion", is_dilated=True)),
-            (
-                "convert_small_dilated",
-                lambda: self._convert(rendered, "depth", "motion", is_small=True, is_dilated=True),
-            ),
+            ("convert_geometry", lambda: self._convert(rendered, *_GEOMETRY)),
+            ("convert_small", lambda: self._convert(rendered, *_GEOMETRY, is_small=True)),
+            ("convert_dilated", lambda: self._convert(rendered, *_GEOMETRY, is_dilated=True)),
+            ("convert_small_dilated", lambda: self._convert(rendered, *_GEOMETRY, is_small=True, is_dilated=True)),
         ):
             if occasion != "rendered":  # after "cut", which writes the block
                 self.board.blocks.forget()
@@ -204,7 +202,7 @@ class _Rehearsal:
         """Return a step with random cameras, times and numbers, so that no two rehearsals have a number in common."""
         rng = np.random.default_rng([number, first])
         frame, previous = (self._frame(rng) for _ in range(2))
-        times = np.cumsum(-rng.uniform(0.01, 0.1, (1, 2, 3, 6)[0 if first else 1 + number])).tolist()
+        times = np.cumsum(-rng.uniform(0.01, 0.1, 1 if first else (2, 6)[number])).tolist()
         time = times[0] + rng.uniform(0.01, 0.1)
         camera, alpha, exposure = self._camera(rng), rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
         return Step(frame, None if first else previous, times, camera, time, alpha, exposure)

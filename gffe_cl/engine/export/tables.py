@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterable
+from dataclasses import fields
 
 import numpy as np
 
@@ -54,6 +55,13 @@ GIVEN = {
 }
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
+# Fields of two choices, which are flags in C: whether it is the second one.
+_FORMAT_FLAGS = {
+    "rows": "rows_up",
+    "color_encoding": "color_srgb",
+    "motion_direction": "motion_from_previous",
+    "motion_y": "motion_y_up",
+}
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
 
 
@@ -130,10 +138,14 @@ class Tables:
         self._counts: list[tuple[int, int]] = []  # of each plan's buffers and initial contents
 
     def text(self) -> str:
-        parts = [_HEADER + '#include "gffe_internal.h"\n', *map(self._source, self.programs), self._programs()]
+        parts = [
+            _HEADER + '#include <math.h>\n#include <stddef.h>\n\n#include "gffe_internal.h"\n',
+            *map(self._source, self.programs),
+            self._programs(),
+        ]
         parts += [_lines("gffe_int64_source", INT64_SOURCE), _lines("gffe_division_source", DIVISION_SOURCE)]
         parts.append(_table("gffe_kernel", "gffe_kernels", map(self._kernel, self.launched)))
-        parts.append(f"const int gffe_kernel_count = {len(self.launched)};\n")
+        parts += [f"const int gffe_kernel_count = {len(self.launched)};\n", _format_tables()]
         plans = [self._plan(number, plan) for number, plan in enumerate(self.plans)]
         parts += [_words("gffe_constants", bytes(self.constants)), _words("gffe_facts", _facts(self.plans[0]))]
         parts += plans
@@ -306,6 +318,48 @@ def _words(name: str, content: bytes) -> str:
     words = np.frombuffer(content, np.uint32)
     rows = [", ".join(f"{word}u" for word in words[k : k + 8]) for k in range(0, len(words), 8)]
     return f"const cl_uint {name}[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n"
+
+
+def _format_tables() -> str:
+    """Return the fields of gffe_format and the types of values, which are those of `FrameFormat`."""
+    usual, rows, numbers = frame_format.FrameFormat(), [], {name: 1 + k for k, name in enumerate(frame_format.TYPES)}
+    for name in (field.name for field in fields(usual) if field.name != "color_size"):
+        value, choices = getattr(usual, name), frame_format.CHOICES.get(name, ())
+        of = "GFFE_OF_COLOR" if name.startswith("color") else "GFFE_OF_GEOMETRY"
+        if name == "geometry_size":  # counts by itself
+            rows += [_field(side, "WHOLE", 0, 0, MOST_PIXELS, of="0") for side in ("geometry_width", "geometry_height")]
+        elif name in _FORMAT_FLAGS or isinstance(value, bool):
+            of = "GFFE_OF_COLOR | GFFE_OF_GEOMETRY" if name == "rows" else of
+            rows.append(_field(_FORMAT_FLAGS.get(name, name), "FLAG", 0, of=of))
+        elif name.endswith("_type"):
+            allowed = sum(1 << numbers[each] for each in choices)
+            rows.append(_field(name, "WHOLE", numbers[value], 1, len(numbers), allowed, of))
+        elif choices:
+            rows.append(_field(name, "WHOLE", choices.index(value), 0, len(choices) - 1, of=of))
+        elif name in frame_format.CHANNELS:
+            rows.append(_field(name, "WHOLE", value, *frame_format.CHANNELS[name], of=of))
+        elif isinstance(value, tuple):
+            rows += [
+                _field(name, "REAL", each, of=of, place=f" + {k} * sizeof(double)") for k, each in enumerate(value)
+            ]
+        else:
+            kind = "PLANE" if name in ("near_z", "far_z") else "OPTIONAL" if value is None else "REAL"
+            rows.append(_field(name, kind, "NAN" if value is None else value, of=of))
+    most = ", ".join(f"{most!r}" for _, most in frame_format.TYPES.values())
+    sizes = ", ".join(str(np.dtype(dtype).itemsize) for dtype, _ in frame_format.TYPES.values())
+    parts = [_table("gffe_field", "gffe_fields", rows), f"const int gffe_field_count = {len(rows)};\n"]
+    parts += [
+        f"const double gffe_type_most[] = {{1, {most}}};\n",
+        f"const size_t gffe_type_bytes[] = {{0, {sizes}}};\n",
+    ]
+    return "".join(parts)
+
+
+def _field(
+    name: str, kind: str, usual: object, least: int = 0, most: int = 0, types: int = 0, of: str = "", place: str = ""
+) -> str:
+    """Return a row of `gffe_fields`."""
+    return f'"{name}", offsetof(gffe_format, {name}){place}, GFFE_{kind}, {usual}, {least}, {most}, {types}, {of}'
 
 
 def _facts(plan: Plan) -> bytes:

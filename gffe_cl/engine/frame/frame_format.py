@@ -48,6 +48,7 @@ SCALED_DEPTHS = ("linear", "distance")
 MOTION_UNITS = ("pixels", "color_pixels", "uv", "ndc")
 CAMERA_MOTIONS = ("included", "movers_only", "excluded")  # numbered as in kernels/upload.cl
 VERTICALS = ("down", "up")
+CHANNELS = {"color_channels": (3, 4), "motion_channels": (2, 4)}  # least and most
 CHOICES: dict[str, tuple[str, ...]] = {  # of fields of `FrameFormat`
     "rows": VERTICALS,
     "color_type": COLOR_TYPES,
@@ -170,8 +171,8 @@ class FrameFormat:
         }
         for name, allowed in CHOICES.items():
             require_choice(getattr(self, name), allowed, _what(name))
-        for name, least in (("color_channels", 3), ("motion_channels", 2)):
-            checked[name] = require_whole(getattr(self, name), _what(name), least, 4)
+        for name, limits in CHANNELS.items():
+            checked[name] = require_whole(getattr(self, name), _what(name), *limits)
         for name in ("depth_range", "motion_scale", "motion_offset"):
             checked[name] = tuple(require_vector(getattr(self, name), _what(name), 2).tolist())
         for name in ("near_z", "far_z"):

@@ -525,25 +525,6 @@ def test_values_that_python_refuses_are_refused(calls):
 
 
 @pytest.mark.slow
-@pytest.mark.filterwarnings("ignore:extrapolate. time")
-def test_any_value_is_refused_as_python_does(calls):
-    """Numbers of any bits, and those of the table in every field of their type."""
-    rng = np.random.default_rng(8)
-    values = {kind: sorted({v for row in TABLE for v in (*row.bad, *row.good) if isinstance(v, kind)}, key=str)
-              for kind in (int, float)}  # fmt: skip
-    for row in TABLE:
-        if row.call in ("options", "extrapolate"):  # each works on the device, or allocates
-            continue
-        kind = type(row.bad[0])
-        bits = rng.integers(0, 256, (40, 8 if kind is float else 4), np.uint8)
-        any_bits = bits.view(np.float64 if kind is float else np.int32).ravel().tolist()
-        others = rng.choice(len(values[kind]), 12)
-        for value in (*any_bits, *(values[kind][k] for k in others), *rng.integers(-2, 7, 6).astype(kind).tolist()):
-            ours, theirs = (refusal(call, row, value) for call in (calls.python, calls.c))
-            assert bool(ours) == bool(theirs), (str(row), value, ours, theirs)
-
-
-@pytest.mark.slow
 def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch):
     def twice(self, step):
         extrapolated(self, step)

@@ -1,5 +1,6 @@
 /* Buffers in an engine's own formats (gffe_cl/engine/frame/frame_format.py). */
 #include <math.h>
+#include <stdio.h>
 #include <string.h>
 
 #include "gffe_internal.h"
@@ -8,41 +9,49 @@
 #pragma STDC FP_CONTRACT OFF
 #endif
 
+static double value_of(const gffe_format *format, const gffe_field *field) {
+    const char *at = (const char *)format + field->at;
+    double number;
+    int whole;
+    memcpy(&whole, at, sizeof whole);
+    if (field->kind < GFFE_REAL) return field->kind == GFFE_FLAG ? whole != 0 : whole;
+    memcpy(&number, at, sizeof number);
+    return number;
+}
+
 gffe_format gffe_default_format(void) {
     gffe_format made;
+    int k;
     memset(&made, 0, sizeof made);
-    made.color_type = GFFE_FLOAT16;
-    made.color_channels = 4;
-    made.depth_type = made.motion_type = GFFE_FLOAT32;
-    made.far_z = made.depth_range[1] = made.depth_scale = 1;
-    made.motion_channels = 2;
-    made.motion_scale[0] = made.motion_scale[1] = 1;
-    made.motion_invalid = NAN;
+    for (k = 0; k < gffe_field_count; ++k) {
+        const gffe_field *field = &gffe_fields[k];
+        char *at = (char *)&made + field->at;
+        const int whole = field->kind < GFFE_REAL ? (int)field->usual : 0;
+        if (field->kind < GFFE_REAL)
+            memcpy(at, &whole, sizeof whole);
+        else
+            memcpy(at, &field->usual, sizeof field->usual);
+    }
     return made;
 }
 
-/* The stored number that stands for 1. */
-static double most_of(int type) {
-    return type == GFFE_UNORM8    ? 255.0
-           : type == GFFE_UNORM16 ? 65535.0
-           : type == GFFE_SNORM16 ? 32767.0
-           : type == GFFE_UNORM24 ? 16777215.0
-                                  : 1.0;
-}
-
-static size_t bytes_of(int type) {
-    return type == GFFE_UNORM8 ? 1 : type == GFFE_FLOAT32 || type == GFFE_UNORM24 ? 4 : 2;
+/* Returns whether these buffers are as the stages read them. */
+static int are_ours(const gffe_format *format, int buffers) {
+    int k;
+    for (k = 0; k < gffe_field_count; ++k) {
+        const double value = value_of(format, &gffe_fields[k]), usual = gffe_fields[k].usual;
+        if (gffe_fields[k].buffers & buffers && value != usual && !(isnan(value) && isnan(usual))) return 0;
+    }
+    return 1;
 }
 
 size_t gffe_texel_bytes(const gffe_format *format, int buffer) {
-    if (buffer == GFFE_DEPTH) return bytes_of(format->depth_type);
-    if (buffer == GFFE_COLOR) return bytes_of(format->color_type) * (size_t)format->color_channels;
-    return bytes_of(format->motion_type) * (size_t)format->motion_channels;
+    if (buffer == GFFE_DEPTH) return gffe_type_bytes[format->depth_type];
+    if (buffer == GFFE_COLOR) return gffe_type_bytes[format->color_type] * (size_t)format->color_channels;
+    return gffe_type_bytes[format->motion_type] * (size_t)format->motion_channels;
 }
 
-int gffe_is_color_ours(const gffe_format *format) {
-    return format->color_type == GFFE_FLOAT16 && format->color_channels == 4 && !format->color_srgb && !format->rows_up;
-}
+int gffe_is_color_ours(const gffe_format *format) { return are_ours(format, GFFE_OF_COLOR); }
 
 void gffe_geometry_of(const gffe_format *format, const int source[2], int size[2]) {
     size[0] = format->geometry_width ? format->geometry_width : source[0];
@@ -56,69 +65,28 @@ int gffe_is_small(const gffe_step *step) {
 }
 
 int gffe_is_geometry_ours(const gffe_step *step) {
-    const gffe_format *format = &step->format;
-    return !gffe_is_small(step) && !format->rows_up && format->depth_type == GFFE_FLOAT32
-           && format->depth == GFFE_LINEAR && format->depth_scale == 1 && format->near_z == 0 && format->far_z == 1
-           && format->depth_range[0] == 0 && format->depth_range[1] == 1 && format->motion_type == GFFE_FLOAT32
-           && format->motion_channels == 2 && format->motion_scale[0] == 1 && format->motion_scale[1] == 1
-           && format->motion_offset[0] == 0 && format->motion_offset[1] == 0 && format->motion_unit == GFFE_PIXELS
-           && !format->motion_from_previous && !format->motion_y_up && !format->motion_dilated
-           && !format->motion_jittered && isnan(format->motion_invalid)
-           && format->camera_motion == GFFE_CAMERA_INCLUDED;
+    return !gffe_is_small(step) && are_ours(&step->format, GFFE_OF_GEOMETRY);
 }
 
-static gffe_status need_finite(gffe *g, const char *name, double value) {
+static gffe_status check_field(gffe *g, const gffe_format *format, const gffe_field *field) {
+    const double value = value_of(format, field);
+    char name[64];
+    snprintf(name, sizeof name, "format: %s", field->name);
+    if (field->types && !(value >= field->least && value <= field->most && field->types >> (int)value & 1))
+        return gffe_fail(g, GFFE_INVALID, "%s must be one that such buffers can have (gffe.h), got %g", name, value);
+    if (field->kind == GFFE_FLAG || (field->kind == GFFE_OPTIONAL && isnan(value))) return GFFE_OK;
+    if (field->kind == GFFE_WHOLE) return gffe_need_whole(g, name, (int)value, field->least, field->most);
+    if (field->kind == GFFE_PLANE && format->depth == GFFE_DEVICE && value == HUGE_VAL) return GFFE_OK;
     return gffe_need_number(g, name, value, -GFFE_LARGEST, GFFE_LARGEST);
 }
 
-static gffe_status need_pair(gffe *g, const char *name, const double pair[2]) {
-    const gffe_status status = need_finite(g, name, pair[0]);
-    return status ? status : need_finite(g, name, pair[1]);
-}
-
-/* Refuses a plane unless it is finite or, of device depth, infinitely far. */
-static gffe_status need_plane(gffe *g, const char *name, double z, int is_device) {
-    return is_device && z == HUGE_VAL ? GFFE_OK : need_finite(g, name, z);
-}
-
-static gffe_status check_numbers(gffe *g, const gffe_format *f) {
-    gffe_status status = gffe_need_whole(g, "format: geometry_width", f->geometry_width, 0, GFFE_MOST_PIXELS);
-    if (!status) status = gffe_need_whole(g, "format: geometry_height", f->geometry_height, 0, GFFE_MOST_PIXELS);
-    if (!status) status = gffe_need_whole(g, "format: color_channels", f->color_channels, 3, 4);
-    if (!status) status = gffe_need_whole(g, "format: motion_channels", f->motion_channels, 2, 4);
-    if (!status) status = gffe_need_whole(g, "format: depth", f->depth, GFFE_LINEAR, GFFE_DISTANCE);
-    if (!status) status = gffe_need_whole(g, "format: motion_unit", f->motion_unit, GFFE_PIXELS, GFFE_COLOR_PIXELS);
-    if (!status)
-        status =
-            gffe_need_whole(g, "format: camera_motion", f->camera_motion, GFFE_CAMERA_INCLUDED, GFFE_CAMERA_EXCLUDED);
-    if (!status) status = need_plane(g, "format: near_z", f->near_z, f->depth == GFFE_DEVICE);
-    if (!status) status = need_plane(g, "format: far_z", f->far_z, f->depth == GFFE_DEVICE);
-    if (!status) status = need_finite(g, "format: depth_scale", f->depth_scale);
-    if (!status) status = need_pair(g, "format: depth_range", f->depth_range);
-    if (!status) status = need_pair(g, "format: motion_scale", f->motion_scale);
-    if (!status) status = need_pair(g, "format: motion_offset", f->motion_offset);
-    if (!status && !isnan(f->motion_invalid)) status = need_finite(g, "format: motion_invalid", f->motion_invalid);
-    return status;
-}
-
-static gffe_status check_type(gffe *g, const char *name, int type, const int *allowed, int count) {
-    int k;
-    for (k = 0; k < count; ++k)
-        if (type == allowed[k]) return GFFE_OK;
-    return gffe_fail(g, GFFE_INVALID, "format: %s_type must be one that such buffers can have (gffe.h), got %d", name,
-                     type);
-}
-
 gffe_status gffe_check_format(gffe *g, const gffe_format *format) {
-    static const int colors[4] = {GFFE_FLOAT16, GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM8};
-    static const int depths[3] = {GFFE_FLOAT32, GFFE_UNORM16, GFFE_UNORM24};
-    static const int motions[4] = {GFFE_FLOAT32, GFFE_FLOAT16, GFFE_UNORM16, GFFE_SNORM16};
     const double near_z = format->near_z, far_z = format->far_z, nearer = near_z < far_z ? near_z : far_z;
-    gffe_status status = check_type(g, "color", format->color_type, colors, 4);
-    if (!status) status = check_type(g, "depth", format->depth_type, depths, 3);
-    if (!status) status = check_type(g, "motion", format->motion_type, motions, 4);
-    if (!status) status = check_numbers(g, format);
-    if (status) return status;
+    int k;
+    for (k = 0; k < gffe_field_count; ++k) {
+        const gffe_status status = check_field(g, format, &gffe_fields[k]);
+        if (status) return status;
+    }
     if (!format->geometry_width != !format->geometry_height)
         return gffe_fail(g, GFFE_INVALID,
                          "format: geometry_width and geometry_height must be 0 both or neither, got %d and %d",
@@ -157,7 +125,7 @@ gffe_status gffe_check_format(gffe *g, const gffe_format *format) {
 
 /* Rounds a value to the numbers that a type holds, to even. */
 static double stored(double value, int type) {
-    const double most = most_of(type);
+    const double most = gffe_type_most[type];
     int exponent;
     double unit;
     if (type == GFFE_FLOAT32) return (double)(float)value;
@@ -170,13 +138,13 @@ static double stored(double value, int type) {
 
 void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
     const gffe_format *format = &step->format;
-    const double most = step->has_motion ? most_of(format->motion_type) : 1;
+    const double most = step->has_motion ? gffe_type_most[format->motion_type] : 1;
     const double sign = format->motion_from_previous ? -1 : 1;
     const int swapped = format->near_z > format->far_z;
     const double farthest = swapped ? format->near_z : format->far_z,
                  nearest = swapped ? format->far_z : format->near_z;
     const double far_value = format->depth_range[!swapped], near_value = format->depth_range[swapped];
-    const double depth_most = most_of(format->depth_type);
+    const double depth_most = gffe_type_most[format->depth_type];
     int k, geometry[2];
     gffe_geometry_of(format, step->source, geometry);
     block->geometry_width = geometry[0];

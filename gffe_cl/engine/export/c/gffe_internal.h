@@ -160,6 +160,24 @@ typedef struct gffe_plan {
     gffe_operations operations[GFFE_OCCASIONS];
 } gffe_plan;
 
+/* Fields of gffe_format, as FrameFormat describes them (gffe_cl/engine/frame/frame_format.py). */
+enum { GFFE_FLAG, GFFE_WHOLE, GFFE_REAL, GFFE_PLANE, GFFE_OPTIONAL }; /* from GFFE_REAL on a double, else an int */
+enum { GFFE_OF_COLOR = 1, GFFE_OF_GEOMETRY = 2 };
+
+typedef struct gffe_field {
+    const char *name;
+    size_t at;       /* bytes from the beginning of a format */
+    int kind;
+    double usual;    /* by default */
+    int least, most; /* of a whole number */
+    int types;       /* allowed ones, one bit each; 0: the field is no type */
+    int buffers;     /* what it describes: GFFE_OF_COLOR ... */
+} gffe_field;
+
+extern const gffe_field gffe_fields[];
+extern const int gffe_field_count;
+extern const double gffe_type_most[]; /* by type: the stored number that stands for 1, and bytes */
+extern const size_t gffe_type_bytes[];
 extern const gffe_program gffe_programs[];
 extern const int gffe_program_count;
 extern const gffe_kernel gffe_kernels[];
