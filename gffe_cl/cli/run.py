@@ -102,7 +102,7 @@ def run(
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
     from gffe_cl.captures.offline.run import alphas_for, run_sequence
-    from gffe_cl.engine.opencl.malloc_tuning import keep_freed_memory
+    from gffe_cl.engine.opencl.runtimes import keep_freed_memory
 
     if n is not None and alpha is not None:
         raise GffeError("-n and --alpha exclude each other")

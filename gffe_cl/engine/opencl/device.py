@@ -1,7 +1,8 @@
 """Choice and opening of OpenCL devices.
 
-Only devices that probing found to work are opened (`probing`); its results are stored for later processes
-(`device_cache`). The default is the fastest in the probe, GPU or CPU; `GFFE_DEVICE` overrides it.
+Only devices that probing found to work are opened (`probing`). The default is the fastest in the probe, GPU or CPU;
+`GFFE_DEVICE` overrides it. Objects of other libraries are taken as pyopencl's, or as the integer handles of C
+(`cl_context`, `cl_event` …).
 """
 
 from __future__ import annotations
@@ -9,42 +10,28 @@ from __future__ import annotations
 import math
 import os
 import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass, field
 from functools import cached_property
 from mmap import PAGESIZE
-from typing import Any
+from typing import Any, TypeVar
 from weakref import WeakValueDictionary
 
 import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError, how_to_install
-from gffe_cl.engine.core.validation import environment_number, require_bool, require_kind, require_whole, shown
-from gffe_cl.engine.opencl import device_cache
-from gffe_cl.engine.opencl.handles import adopted
-from gffe_cl.engine.opencl.malloc_tuning import ask_for_huge_pages
+from gffe_cl.engine.core.validation import environment_number, require_bool, require_kind, require_whole, scalar, shown
+from gffe_cl.engine.opencl import probing
 from gffe_cl.engine.opencl.probing import (
     DeviceInfo,
     describe,
     floats_are_faster,
-    probe,
-    quiet_builds,
     try_exact_division,
     try_int64_atomics,
 )
-from gffe_cl.engine.opencl.runtimes import hide_vendors, prepare_runtimes, why_no_platform
-
-__all__ = [
-    "HOW_TO_GET_ONE",
-    "Device",
-    "DeviceInfo",
-    "best_of",
-    "known_devices",
-    "list_devices",
-    "open_device",
-    "open_info",
-    "quiet_builds",
-]
+from gffe_cl.engine.opencl.runtimes import ask_for_huge_pages, prepare_runtimes, why_no_platform
 
 HOW_TO_GET_ONE = (
     f"install one with {how_to_install('intel')} (x86-64 CPU, no root), "
@@ -55,7 +42,16 @@ _WHERE_IT_IS = (
     " call gffe_cl.prepare_runtimes() first of all"
 )
 _ABOUT_AS_FAST = 1.5  # times slower: the default among such devices must not depend on noise
-_crashing: dict[str, DeviceInfo] = {}  # vendors that are hidden, by the name of their `.icd` file
+_OF_MEMORY = {
+    cl.status_code.MEM_OBJECT_ALLOCATION_FAILURE,
+    cl.status_code.OUT_OF_RESOURCES,
+    cl.status_code.OUT_OF_HOST_MEMORY,
+    cl.status_code.INVALID_BUFFER_SIZE,
+}
+# A handle is the address of an object of the driver; nothing lies in the first page of memory.
+_LEAST_HANDLE, _MOST_HANDLE = 1 << 12, (1 << 64) - 1
+
+Kind = TypeVar("Kind", cl.Context, cl.CommandQueue, cl.Event, cl.Buffer)
 
 
 def select(infos: list[DeviceInfo], wanted: str) -> list[DeviceInfo]:
@@ -346,23 +342,19 @@ class Device:
 
 def list_devices(refresh: bool = False) -> list[DeviceInfo]:
     """Return every OpenCL device with the result of probing it. Probing happens with `refresh`, or if no result is
-    stored for the installed drivers. Never raises for a broken driver: its devices have `works == False`. A driver
-    that crashes or hangs while its devices are listed is one entry with the name of its `.icd` file."""
+    stored for the installed drivers. Never raises for a broken driver: its devices have `works == False`. Where a
+    driver crashes or hangs while devices are listed, that is the only entry, and names the drivers' files."""
     return known_devices(require_bool(refresh, "list_devices: refresh"))[0]
 
 
 def known_devices(refresh: bool = False) -> tuple[list[DeviceInfo], float | None]:
     """Return what `list_devices` does, and how many seconds ago the devices were probed; None if just now."""
     prepare_runtimes()
-    key = device_cache.fingerprint()
-    known = None if refresh else device_cache.recall(key)
-    probed = known or probe()
-    if known is None:
-        device_cache.keep(key, probed)
-    elif probed.crashing:
-        hide_vendors(set(probed.crashing))
-    _crashing.update(probed.crashing)
-    return probed.devices + list(_crashing.values()), probed.age
+    key = probing.fingerprint()
+    probed = (None if refresh else probing.recall(key)) or probing.probe()
+    if probed.age is None:
+        probing.keep(key, probed)
+    return probed.devices, probed.age
 
 
 def open_device(wanted: str | None = None, profiling: bool = False) -> Device:
@@ -476,3 +468,80 @@ def forget_opened(device: Device) -> None:
     for known in (_opened, _adopted):
         for key in [key for key, opened in known.items() if opened is device.opened]:
             del known[key]
+
+
+def device_fault(device: Device, work: str, footprint: Callable[[], str], error: cl.Error) -> GffeError:
+    """Return a driver's `error` in one line with a remedy, and forget the device. `footprint` is the text about sizes
+    and memory."""
+    forget_opened(device)
+    advice = (
+        "is out of memory, or lost (expected smaller images, fewer background levels, or less else on it)"
+        if error.code in _OF_MEMORY
+        else "is lost, or its driver has failed (expected it to answer)"
+    )
+    reason = " ".join(str(error).split())[:120]
+    return GffeError(
+        f"{device.info.name}: {work} failed: {reason}; {footprint()}: the device {advice};"
+        " open the device and a new pipeline to go on"
+    )
+
+
+@contextmanager
+def device_faults(device: Device, work: str, footprint: Callable[[], str]) -> Iterator[None]:
+    """Turn driver errors within its block `work` into `device_fault`."""
+    try:
+        yield
+    except cl.Error as error:
+        raise device_fault(device, work, footprint, error) from error
+
+
+def is_handle(value: Any) -> bool:
+    """Return whether `value` is an integer that may be a handle. Drivers crash on an invalid address, and no call
+    can check it beforehand."""
+    number = scalar(value)
+    return isinstance(number, int) and not isinstance(number, bool) and _LEAST_HANDLE <= number <= _MOST_HANDLE
+
+
+def adopted(value: Any, kind: type[Kind], what: str) -> Any:
+    """Return `value` as a pyopencl object of `kind`. The object of a handle is retained, and released when Python has
+    no reference to the result any more; the caller keeps its own reference. Raises GffeError for anything else."""
+    if isinstance(value, kind):
+        return value
+    if is_handle(value):
+        return kind.from_int_ptr(scalar(value), retain=True)
+    raise GffeError(f"{what} must be a pyopencl.{kind.__name__} or the integer handle of one, got {shown(value)}")
+
+
+def adopted_events(values: Any, context: cl.Context, what: str) -> list[cl.Event]:
+    """Return events to wait for, given as pyopencl's or as handles. Raises GffeError unless all are of `context`, and
+    none has failed."""
+    if isinstance(values, tuple) and not values:  # mostly
+        return []
+    try:
+        listed = [None] if isinstance(values, str | bytes) else list(values)
+    except TypeError:
+        raise GffeError(f"{what} must be a list of OpenCL events, got {shown(values)}") from None
+    events: list[Any] = [adopted(value, cl.Event, f"{what}[{number}]") for number, value in enumerate(listed)]
+    for number, event in enumerate(events):
+        try:
+            its_context, status = event.context, event.command_execution_status
+        except cl.Error as error:  # some drivers do not keep the context of an event
+            raise GffeError(f"{what}[{number}]: the driver rejects it: {str(error)[:120]}") from None
+        if its_context != context:
+            raise GffeError(f"{what}[{number}] belongs to another OpenCL context than the pipeline's device")
+        if status < 0:
+            raise GffeError(f"{what}[{number}] has failed (OpenCL error {status})")
+    return events
+
+
+def wait_for_all(queue: cl.CommandQueue, events: list[cl.Event]) -> None:
+    """Make all later commands of the queue wait for `events`."""
+    if events:
+        cl.enqueue_barrier(queue, wait_for=events)
+
+
+def marker(queue: cl.CommandQueue) -> cl.Event:
+    """Return an event that is complete when all work enqueued so far is; other queues can wait for it."""
+    event = cl.enqueue_marker(queue)
+    queue.flush()
+    return event

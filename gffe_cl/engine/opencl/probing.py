@@ -1,30 +1,43 @@
-"""Probing of OpenCL devices, in a child process: a driver may crash there.
+"""Probing of OpenCL devices, in child processes, as a driver may crash or hang; the results, stored between processes.
 
-A device counts only after a kernel has been built and run on it. A driver that crashes while its devices are listed is
-found by listing each vendor's in a child of its own, and left out.
+A device counts only after a kernel has been built and run on it. Probing takes half a second, and its figures depend on
+the load. There is one stored file for each state of drivers and machine (`fingerprint`). A folder that cannot be read
+or written is no error.
 """
 
 from __future__ import annotations
 
+import hashlib
 import json
 import os
+import platform
+import subprocess
 import sys
 import time
 import warnings
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field
+from contextlib import contextmanager, suppress
+from dataclasses import asdict, dataclass, field, fields
 from pathlib import Path
 
 import pyopencl as cl
 
-from gffe_cl.engine.opencl.runtimes import NO_CACHE, VENDORS, hide_vendors, only_vendors, vendors
-from gffe_cl.engine.opencl.subprocess_runner import run_child, slowdown
+from gffe_cl.engine.core.files import read_bounded
+from gffe_cl.engine.opencl.runtimes import NO_CACHE, VENDORS, driver_variables, keep_file, kept_folder, vendors
 
+HANGS = "driver hangs"  # how a failure begins where time was up
+_MOST_SLOWDOWN = 10.0
+_NICENESS = 1.25  # less processor time per step of niceness, of Linux's scheduler
+_FILE = "devices-{}.json"
+_MOST_FILES = 16
+_MOST_BYTES = 1 << 20
+_HOUR = 3600.0
+_NODES = ("/dev/dri/*", "/dev/nvidia*", "/dev/kfd", "/dev/dxg", "/dev/mali*")
+_KERNEL_DRIVERS = ("/proc/driver/nvidia/version", "/sys/module/amdgpu/version", "/sys/module/i915/srcversion")
+_LIBRARIES = ("/usr/lib/*-linux-gnu*", "/usr/lib64", "/usr/lib", "/usr/local/lib*")
 # Time limits; beyond them a driver hangs.
 _FIRST_SECONDS = 6.0  # for all devices in one child process
-_LIST_SECONDS = 6.0  # for listing the devices of one vendor
+_LIST_SECONDS = 6.0  # for listing all devices
 _DEVICE_SECONDS = 8.0  # for one device alone
 _RANKING_SECONDS = (
     0.2  # of repeating the kernel, and the copy: other processes disturb single runs, and GPUs begin with low clocks
@@ -37,7 +50,7 @@ _PROBED = "probed"  # last line of a child process: later failures are no device
 class DeviceInfo:
     """Result of probing one OpenCL device."""
 
-    # "platform:device"; "–" for a driver that crashes before it lists its devices, and for `Device.from_context`.
+    # "platform:device"; "–" where drivers crash before they list devices, and for `Device.from_context`.
     index: str
     name: str
     platform: str
@@ -53,37 +66,27 @@ class DeviceInfo:
 
 @dataclass
 class Probed:
-    """Result of probing: `devices` that can be listed once the vendors `crashing`, by the names of their `.icd`
-    files, are hidden. `age`: seconds since then; None if it was just now."""
+    """Result of probing. `age`: seconds since then; None if it was just now."""
 
     devices: list[DeviceInfo] = field(default_factory=list)
-    crashing: dict[str, DeviceInfo] = field(default_factory=dict)
     age: float | None = None
 
 
 def probe() -> Probed:
-    """Probe every OpenCL device and return the results. A driver that crashes or hangs while its devices are listed is
-    also hidden from this process.
+    """Probe every OpenCL device and return the results.
 
-    One child tries all devices, one after the other, so that their figures do not disturb each other. Only if that one
-    fails, vendors and then devices are tried side by side, each in a child of its own.
+    One child tries all devices, one after the other. Only if that one fails, each device is tried in a child of its
+    own. Drivers of which one crashes or hangs while devices are listed cannot be told apart: none of them works.
     """
     output, _ = _run_child([], _FIRST_SECONDS)
     if _is_whole(output):
         return Probed(_told(output))
-    crashing = _crashing_vendors()
-    if crashing:
-        hide_vendors(set(crashing))
     output, failure = _run_child(["--list"], _LIST_SECONDS)
-    if not _is_whole(output):  # none fails alone
-        unknown = DeviceInfo("–", "unknown", "all drivers together", "", "", "other", problem=failure)
-        return Probed([unknown], crashing)
-    return Probed(_side_by_side(_probe_alone, _told(output)), crashing)
-
-
-def _side_by_side(work: Callable, items: list) -> list:
-    with ThreadPoolExecutor(max(len(items), 1)) as pool:
-        return list(pool.map(work, items))
+    if _is_whole(output):
+        return Probed([_probe_alone(info) for info in _told(output)])
+    files = ", ".join(str(icd) for icd in vendors())
+    problem = f"{failure} while devices are listed (expected {VENDORS} to name a folder of sound drivers; now: {files})"
+    return Probed([DeviceInfo("–", "unknown", "all drivers together", "", "", "other", problem=problem)])
 
 
 def _cl_devices() -> list[tuple[str, cl.Platform, cl.Device]]:
@@ -92,12 +95,12 @@ def _cl_devices() -> list[tuple[str, cl.Platform, cl.Device]]:
         platforms = cl.get_platforms()
     except cl.Error:
         return found
-    for p, platform in enumerate(platforms):
+    for p, owner in enumerate(platforms):
         try:
-            devices = platform.get_devices()
+            devices = owner.get_devices()
         except cl.Error:
             continue
-        found += [(f"{p}:{d}", platform, device) for d, device in enumerate(devices)]
+        found += [(f"{p}:{d}", owner, device) for d, device in enumerate(devices)]
     return found
 
 
@@ -120,35 +123,19 @@ def _probe_alone(info: DeviceInfo) -> DeviceInfo:
     return found
 
 
-def _crashing_vendors() -> dict[str, DeviceInfo]:
-    """Return the vendors whose devices cannot be listed, by the name of their `.icd` file; each is tried alone."""
-    icds = vendors()
-    crashing = {}
-    for icd, (output, failure) in zip(icds, _side_by_side(_list_vendor, icds), strict=True):
-        if not _is_whole(output):
-            library = icd.read_text().strip()
-            problem = f"{failure} while it is listed: {library} is left out"
-            crashing[icd.name] = DeviceInfo("–", Path(library).name, icd.name, "", "", "other", problem=problem)
-    return crashing
-
-
-def _list_vendor(icd: Path) -> tuple[str, str]:
-    return _run_child(["--list"], _LIST_SECONDS, {VENDORS: str(only_vendors([icd]))})
-
-
-def _run_child(arguments: list[str], seconds: float, variables: dict[str, str] | None = None) -> tuple[str, str]:
+def _run_child(arguments: list[str], seconds: float) -> tuple[str, str]:
     """Return the output of this module run as a program, and how it failed ("" if it did not)."""
-    return run_child("gffe_cl.engine.opencl.probing", arguments, seconds, variables)
+    return run_child("gffe_cl.engine.opencl.probing", arguments, seconds)
 
 
-def describe(index: str, platform: cl.Platform, device: cl.Device) -> DeviceInfo:
+def describe(index: str, owner: cl.Platform, device: cl.Device) -> DeviceInfo:
     """Return the properties of a device that its driver reports; nothing is tried."""
     kind = "gpu" if device.type & cl.device_type.GPU else "cpu" if device.type & cl.device_type.CPU else "other"
     return DeviceInfo(
         index,
         device.name.strip(),
-        platform.name.strip(),
-        platform.version.strip(),
+        owner.name.strip(),
+        owner.version.strip(),
         device.driver_version.strip(),
         kind,
     )
@@ -379,12 +366,140 @@ def floats_are_faster(context: cl.Context, queue: cl.CommandQueue) -> bool:
     return times[0] > _CLEARLY_FASTER * times[1]
 
 
+# ---- stored results --------------------------------------------------------------------------------
+
+
+def fingerprint() -> str:
+    """Return a hash of everything that probing depends on: drivers and their libraries, their environment variables,
+    the machine."""
+    facts = [
+        hashlib.sha256(Path(__file__).read_bytes()).hexdigest(),
+        cl.VERSION_TEXT,
+        [(icd.name, _text(icd), _stamps(_text(icd))) for icd in vendors()],
+        driver_variables(),
+        (platform.node(), platform.release(), platform.machine(), os.cpu_count(), _processor()),
+        [(str(node), os.access(node, os.R_OK | os.W_OK)) for node in _matching(_NODES)],
+        [_text(Path(path)) for path in _KERNEL_DRIVERS],
+        _stamp(Path("/etc/ld.so.cache")),
+    ]
+    return hashlib.sha256(repr(facts).encode("utf-8", "surrogateescape")).hexdigest()[:24]
+
+
+def recall(key: str) -> Probed | None:
+    """Return the entry stored as `key`, or None. Failures expire after an hour. Everything expires after a day if
+    the drivers' files do not identify them."""
+    folder = kept_folder()
+    if folder is None:
+        return None
+    try:
+        document = json.loads(read_bounded(folder / _FILE.format(key), _MOST_BYTES))
+        age = time.time() - float(document["time"])
+        found = Probed([_device(device) for device in document["devices"]], age)
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+    broken = not found.devices or not all(device.works for device in found.devices)
+    longest = _HOUR if broken else float("inf") if vendors() else 24 * _HOUR
+    return found if 0 <= age <= longest else None
+
+
+def keep(key: str, found: Probed) -> None:
+    """Store `found` as `key` for later processes."""
+    folder = kept_folder()
+    if folder is None:
+        return
+    document = {"time": time.time(), "devices": [asdict(device) for device in found.devices]}
+    with suppress(OSError):
+        path = folder / _FILE.format(key)
+        keep_file(path, json.dumps(document, indent=1).encode("utf-8"), _FILE.format("*"), _MOST_FILES)
+
+
+def _device(document: dict) -> DeviceInfo:
+    """Return the entry of a JSON document. Raises TypeError unless the fields have the declared types."""
+    info = DeviceInfo(**document)
+    kinds = {"works": bool, "exact_division": bool, "lacks": list, "megapixels_per_second": (int, float)}
+    for one in fields(DeviceInfo):
+        if not isinstance(getattr(info, one.name), kinds.get(one.name, str)):
+            raise TypeError(one.name)
+    return info
+
+
+def _stamps(library: str) -> list:
+    """Return the stamps of the files that the library of an `.icd` file may be."""
+    if not library:
+        return []
+    if "/" in library:
+        return [_stamp(Path(library))]
+    folders = os.environ.get("LD_LIBRARY_PATH", "").split(":")
+    return [_stamp(folder / library) for folder in (*map(Path, filter(None, folders)), *_matching(_LIBRARIES))]
+
+
+def _stamp(path: Path) -> tuple | None:
+    with suppress(OSError):
+        facts = path.stat()
+        return str(path), facts.st_mtime_ns, facts.st_size
+    return None
+
+
+def _matching(patterns: tuple[str, ...]) -> list[Path]:
+    with suppress(OSError):
+        return [path for pattern in patterns for path in sorted(Path("/").glob(pattern.removeprefix("/")))]
+    return []
+
+
+def _text(path: Path) -> str:
+    with suppress(OSError), open(path, encoding="utf-8", errors="replace") as file:
+        return file.read(4096).strip()
+    return ""
+
+
+def _processor() -> str:
+    lines = _text(Path("/proc/cpuinfo")).splitlines()
+    return next((line for line in lines if line.startswith("model name")), platform.processor())
+
+
+# ---- child processes -------------------------------------------------------------------------------
+
+
+def run_child(
+    module: str, arguments: list[str], seconds: float, variables: dict[str, str] | None = None
+) -> tuple[str, str]:
+    """Run a module as a program, for at most `seconds` of an idle machine, with these additional environment variables.
+    Returns its output and its failure ("" if none)."""
+    # Without the working folder on the path, where a file may have the name of a module of Python's.
+    run = f"runpy.run_module({module!r}, None, '__main__', True)"
+    start = f"import runpy, sys; sys.path.append({str(Path(__file__).parents[2])!r}); {run}"
+    command = [sys.executable, "-P", "-c", start, *arguments]
+    environment = os.environ | (variables or {})
+    try:
+        child = subprocess.run(
+            command,
+            capture_output=True,
+            text=True,
+            errors="replace",
+            timeout=seconds * slowdown(),
+            env=environment,
+        )
+    except subprocess.TimeoutExpired as error:
+        output = error.stdout.decode(errors="replace") if isinstance(error.stdout, bytes) else (error.stdout or "")
+        return output, f"{HANGS} ({seconds:g} s)"
+    return child.stdout, f"driver crashed (exit code {child.returncode})" if child.returncode else ""
+
+
+def slowdown() -> float:
+    """Return how many times longer work takes because of other processes, estimated from the load average."""
+    try:
+        load = os.getloadavg()[0] / (os.cpu_count() or 1)
+    except (AttributeError, OSError):  # the system does not have it
+        return 1.0
+    return 1.0 if load <= 1 else min(load * _NICENESS ** max(os.nice(0), 0), _MOST_SLOWDOWN)
+
+
 def _main(wanted: list[str]) -> None:
     """Print the results of probing the devices with indices `wanted`, or of all devices. After `--list` only list
     them."""
-    for index, platform, device in _cl_devices():
+    for index, owner, device in _cl_devices():
         if not wanted or wanted == ["--list"] or index in wanted:
-            info = describe(index, platform, device)
+            info = describe(index, owner, device)
             print(json.dumps(asdict(info)), flush=True)
             if wanted != ["--list"]:
                 _probe(info, device)

@@ -1,21 +1,20 @@
-"""Discovery of OpenCL runtimes, before the ICD loader lists them.
+"""Discovery of OpenCL runtimes, before the ICD loader lists them; folders of caches; tuning of this process's memory.
 
 The loader reads its list of vendors once in a process, when OpenCL is first asked for platforms: `prepare_runtimes`
 must run before. Runtimes that pip installed into the environment (Intel's CPU runtime) are not in the system's vendor
-folder; they are added to a folder of our own that repeats the system's entries. A driver that crashes while it
-is listed is left out in the same way (`hide_vendors`).
+folder; they are added to a folder of our own that repeats the system's entries.
 """
 
 from __future__ import annotations
 
 import ctypes
 import hashlib
+import mmap
 import os
 import stat
 import sys
 import tempfile
 import warnings
-from collections.abc import Iterable
 from contextlib import suppress
 from pathlib import Path
 from typing import Any
@@ -37,6 +36,10 @@ _DRIVERS_READ = (
 )  # fmt: skip
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 _MOST_NAMED, _LONGEST_NAME = 3, 300  # drivers in a message, and characters of a library's name
+# Parameters of mallopt (malloc.h of glibc): memory freed at the end of the heap goes back to the system above so many
+# bytes; so many allocations have pages of their own, which go back when they are freed; so many heaps.
+_M_TRIM_THRESHOLD, _M_MMAP_MAX, _M_ARENA_MAX = -1, -4, -8
+_NEVER = 2**31 - 1
 # libintelocl.so finds these only if they are already loaded, in this order.
 _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtbb.so.12")
 
@@ -173,17 +176,6 @@ def _library_of(icd: Path) -> Path:
     return Path(icd.name)
 
 
-def only_vendors(icds: Iterable[Path]) -> Path:
-    """Return a folder that holds these `.icd` files and no others, for `OCL_ICD_VENDORS`."""
-    return _vendor_folder({icd.name: icd.read_text() for icd in icds})
-
-
-def hide_vendors(names: set[str]) -> None:
-    """Leave out the `.icd` files of these names, in this process and its children. The ICD loader must not have listed
-    its platforms yet."""
-    os.environ[VENDORS] = str(only_vendors(icd for icd in vendors() if icd.name not in names))
-
-
 def redirect_unwritable_caches() -> None:
     """Make PoCL and pyopencl keep their caches where they can be written, if the home folder cannot be written or
     folders in it belong to another user, as after a run with sudo.
@@ -232,3 +224,23 @@ def _vendor_folder(entries: dict[str, str]) -> Path:
             partial.write_text(text)
             partial.replace(path)
     return folder
+
+
+def keep_freed_memory() -> None:
+    """Keep freed pages in this process, to be used again, for a command that allocates images of one size over and
+    over. Fetching new ones from the system costs more time than filling them, in virtual machines ten times as much.
+    Does nothing but with glibc."""
+    with suppress(OSError, AttributeError, TypeError):
+        mallopt = ctypes.CDLL(None).mallopt
+        for parameter, value in ((_M_TRIM_THRESHOLD, _NEVER), (_M_MMAP_MAX, 0), (_M_ARENA_MAX, 1)):
+            mallopt(parameter, value)
+
+
+def ask_for_huge_pages(address: int, nbytes: int) -> None:
+    """Ask Linux to back memory with pages of 2 MiB where it can: with small ones, kernels that jump about in images
+    wait for translations of addresses. Does nothing elsewhere."""
+    start = -(-address // mmap.PAGESIZE) * mmap.PAGESIZE
+    length = (address + nbytes - start) // mmap.PAGESIZE * mmap.PAGESIZE
+    with suppress(OSError, AttributeError, TypeError):
+        madvise = ctypes.CDLL(None).madvise
+        madvise(ctypes.c_void_p(start), ctypes.c_size_t(length), mmap.MADV_HUGEPAGE)

@@ -18,8 +18,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_choice, require_kind, require_list, require_whole, shown
-from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.handles import adopted_events
+from gffe_cl.engine.opencl.device import Device, adopted_events
 
 _MEMORY, _SEMAPHORE = "cl_khr_external_memory", "cl_khr_external_semaphore"
 _IMPORTED_TYPES = 0x204F  # CL_DEVICE_EXTERNAL_MEMORY_IMPORT_HANDLE_TYPES_KHR

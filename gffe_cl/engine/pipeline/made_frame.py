@@ -12,8 +12,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.core.validation import require_choice
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.device_errors import device_faults
+from gffe_cl.engine.opencl.device import Device, device_faults
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, RGBA, BufferSpec, Sizes
 
 _SPECS = {spec.name: spec for spec in EXTRAPOLATED}

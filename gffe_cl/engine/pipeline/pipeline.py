@@ -23,8 +23,7 @@ from gffe_cl.engine.core.validation import (
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
-from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.handles import adopted_events, marker, wait_for_all
+from gffe_cl.engine.opencl.device import Device, adopted_events, marker, wait_for_all
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.frames import Display, RenderedFrames, checked_moment
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame

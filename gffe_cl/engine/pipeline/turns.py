@@ -9,7 +9,7 @@ from threading import RLock
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.opencl.device_errors import device_fault
+from gffe_cl.engine.opencl.device import device_fault
 
 
 class Turns:

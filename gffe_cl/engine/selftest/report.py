@@ -13,8 +13,8 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.network import ON_CPU
 from gffe_cl.engine.opencl.device import DeviceInfo, list_devices, select
+from gffe_cl.engine.opencl.probing import run_child
 from gffe_cl.engine.opencl.runtimes import driver_variables, vendors
-from gffe_cl.engine.opencl.subprocess_runner import run_child
 from gffe_cl.engine.selftest.worker import MARK
 
 TOLERANCE = 1e-3  # of the network's output, channels of a few units, where the CPU has no fused multiply-add

@@ -24,8 +24,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL
 from gffe_cl.engine.inference.layers import MULTIPLE
-from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.handles import adopted, is_handle
+from gffe_cl.engine.opencl.device import Device, adopted, is_handle
 from gffe_cl.engine.opencl.program import constants
 
 _PX_UNITS = constants("background.cl")["PX_UNITS"]

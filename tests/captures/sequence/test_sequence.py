@@ -294,7 +294,7 @@ def test_halves_that_were_read_are_not_copied(tmp_path):
 def test_freed_memory_is_kept():
     """Pages that were fetched once serve again, instead of new ones for each array."""
     code = (
-        "import resource, numpy as np\nfrom gffe_cl.engine.opencl.malloc_tuning import keep_freed_memory\n{}\n"
+        "import resource, numpy as np\nfrom gffe_cl.engine.opencl.runtimes import keep_freed_memory\n{}\n"
         "def faults():\n    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt\n"
         "np.ones(1 << 22)\nbefore = faults()\nfor k in range(20): np.ones(1 << 22)\nprint(faults() - before)"
     )

@@ -9,8 +9,8 @@ import pyopencl as cl
 import pytest
 from pyopencl.characterize import has_src_build_cache
 
-from gffe_cl.engine.opencl import program_cache
-from gffe_cl.engine.opencl.program_cache import built_program
+from gffe_cl.engine.opencl import program as program_module
+from gffe_cl.engine.opencl.program import built_program
 
 pytestmark = pytest.mark.device
 SOURCE = "__kernel void twice(__global float *x) { x[get_global_id(0)] *= FACTOR; }"
@@ -26,7 +26,7 @@ def folder(tmp_path, monkeypatch):
 @pytest.fixture
 def keeping(device, monkeypatch):
     """Keeps programs for every device, also where drivers do."""
-    monkeypatch.setattr(program_cache, "has_src_build_cache", lambda _: False)
+    monkeypatch.setattr(program_module, "has_src_build_cache", lambda _: False)
     return device
 
 

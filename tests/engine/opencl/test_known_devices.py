@@ -13,8 +13,7 @@ import pytest
 from device_infos import GPU, INTEL, POCL
 
 from gffe_cl import GffeError
-from gffe_cl.engine.opencl import device as device_module
-from gffe_cl.engine.opencl import device_cache, probing
+from gffe_cl.engine.opencl import probing
 from gffe_cl.engine.opencl.device import list_devices, open_device
 from gffe_cl.engine.opencl.probing import Probed
 
@@ -30,15 +29,14 @@ def probes(monkeypatch):
     """Probing finds this list of devices; `calls` counts how often it was done."""
 
     class Probes:
-        found, crashing, calls = [POCL, INTEL], {}, 0
+        found, calls = [POCL, INTEL], 0
 
         def __call__(self):
             self.calls += 1
-            return Probed([replace(info) for info in self.found], dict(self.crashing))
+            return Probed([replace(info) for info in self.found])
 
     made = Probes()
-    monkeypatch.setattr(device_module, "probe", made)
-    monkeypatch.setattr(device_module, "_crashing", {})
+    monkeypatch.setattr(probing, "probe", made)
     return made
 
 
@@ -65,7 +63,7 @@ def test_the_cache_folder_is_the_users(monkeypatch, probes, tmp_path):
 
 
 def damaged():
-    document = {"time": 1e9, "devices": [vars(POCL)], "crashing": {}}
+    document = {"time": 1e9, "devices": [vars(POCL)]}
     yield from ("", "[]", "nonsense", "null", "[" * 100_000, '{"time": 1}')
     yield json.dumps(document | {"time": "yesterday"})
     yield json.dumps(document | {"time": 1e12})
@@ -73,7 +71,6 @@ def damaged():
     yield json.dumps(document | {"devices": [vars(POCL) | {"index": None}]})
     yield json.dumps(document | {"devices": [vars(POCL) | {"color": "red"}]})
     yield json.dumps(document | {"devices": {"0:0": 1}})
-    yield json.dumps(document | {"crashing": []})
 
 
 @pytest.mark.parametrize("text", list(damaged()), ids=lambda text: text[:20] or "empty")
@@ -130,12 +127,12 @@ def test_other_drivers_are_probed_anew(cache, probes, tmp_path, monkeypatch):
     def set_a_variable():
         monkeypatch.setenv("CUDA_VISIBLE_DEVICES", "")
 
-    keys = [device_cache.fingerprint()]
+    keys = [probing.fingerprint()]
     for change in (replace_library, install_another, find_its_library, set_a_variable):
         list_devices()
-        assert device_cache.fingerprint() == keys[-1]
+        assert probing.fingerprint() == keys[-1]
         change()
-        keys.append(device_cache.fingerprint())
+        keys.append(probing.fingerprint())
     assert len(set(keys)) == len(keys)
     list_devices()
     assert probes.calls == len(keys)
@@ -158,30 +155,24 @@ def age(cache, seconds):
     path.write_text(json.dumps(document | {"time": document["time"] - seconds}))
 
 
-@pytest.mark.parametrize("kind", ["does not work", "crashes", "is none"])
-def test_what_does_not_work_is_tried_again_after_an_hour(cache, probes, kind, monkeypatch):
-    hidden = []
-    monkeypatch.setattr(device_module, "hide_vendors", hidden.append)
-    if kind == "crashes":
-        probes.crashing = {"bad.icd": replace(GPU, index="–", works=False)}
-    else:
-        probes.found = [POCL, replace(INTEL, works=False, problem="busy")] if kind == "does not work" else []
+@pytest.mark.parametrize("kind", ["does not work", "is none"])
+def test_what_does_not_work_is_tried_again_after_an_hour(cache, probes, kind):
+    probes.found = [POCL, replace(INTEL, works=False, problem="busy")] if kind == "does not work" else []
     first = list_devices()
     age(cache, 1800)
     assert list_devices() == first and probes.calls == 1
-    assert hidden == ([{"bad.icd"}] if kind == "crashes" else [])
     age(cache, 3600)
     assert list_devices() == first and probes.calls == 2
 
 
 def test_what_works_stays_known(cache, probes, monkeypatch):
-    monkeypatch.setattr(device_cache, "vendors", lambda: ["a.icd"])
-    monkeypatch.setattr(device_cache, "fingerprint", lambda: "key")
+    monkeypatch.setattr(probing, "vendors", lambda: ["a.icd"])
+    monkeypatch.setattr(probing, "fingerprint", lambda: "key")
     list_devices()
     age(cache, 1e7)
     list_devices()
     assert probes.calls == 1
-    monkeypatch.setattr(device_cache, "vendors", list)  # drivers that no file tells of
+    monkeypatch.setattr(probing, "vendors", list)  # drivers that no file tells of
     list_devices()
     assert probes.calls == 2
 
@@ -189,16 +180,16 @@ def test_what_works_stays_known(cache, probes, monkeypatch):
 def test_only_the_newest_files_stay(cache, probes):
     cache.mkdir()
     for k in range(30):
-        device_cache.keep(f"key{k}", Probed([POCL]))
+        probing.keep(f"key{k}", Probed([POCL]))
         os.utime(cache / f"devices-key{k}.json", (k, k))
-    device_cache.keep("newest", Probed([POCL]))
-    assert len(list(cache.iterdir())) == 16 and device_cache.recall("newest").devices == [POCL]
+    probing.keep("newest", Probed([POCL]))
+    assert len(list(cache.iterdir())) == 16 and probing.recall("newest").devices == [POCL]
 
 
 @pytest.fixture(scope="module")
 def probed():
     """What probing really finds, once."""
-    return device_module.probe()
+    return probing.probe()
 
 
 def test_a_known_device_that_is_not_there_is_looked_for(cache, device, monkeypatch, probed):
@@ -207,8 +198,8 @@ def test_a_known_device_that_is_not_there_is_looked_for(cache, device, monkeypat
     monkeypatch.delenv("GFFE_DEVICE", raising=False)
     for gone in (replace(GPU, index=there), replace(GPU, index="9:9"), replace(GPU, index="0:99")):
         calls = []
-        monkeypatch.setattr(device_module, "probe", lambda calls=calls: calls.append(1) or probed)
-        device_cache.keep(device_cache.fingerprint(), Probed([replace(gone)]))
+        monkeypatch.setattr(probing, "probe", lambda calls=calls: calls.append(1) or probed)
+        probing.keep(probing.fingerprint(), Probed([replace(gone)]))
         opened = open_device(there)
         assert opened.info.name == device.info.name and len(calls) == 1
         assert open_device(there).info == opened.info and len(calls) == 1
@@ -225,9 +216,9 @@ def test_children_recall_what_their_parent_found(cache, device):
     """Neither a child of a process nor what it starts probes again."""
     list_devices()
     code = (
-        "from gffe_cl.engine.opencl import device\n"
+        "from gffe_cl.engine.opencl import device, probing\n"
         "def probe(): raise SystemExit('probed again')\n"
-        "device.probe = probe\n"
+        "probing.probe = probe\n"
         "print(len(device.list_devices()), device.open_device().info.name)\n"
     )
     child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)

@@ -16,7 +16,7 @@ from gffe_cl import GffeError, Options, Pipeline
 from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.inference.layers import HEAD_WEIGHTS, OUTPUT, shapes_at
 from gffe_cl.engine.inference.network import load_network
-from gffe_cl.engine.opencl.device import quiet_builds
+from gffe_cl.engine.opencl.probing import quiet_builds
 from gffe_cl.engine.stages.correction import ShadingCorrection
 
 

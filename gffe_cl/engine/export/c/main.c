@@ -101,7 +101,8 @@ int main(int count, char **arguments) {
     list = open_file(arguments[1], "frames", "txt", "r");
     need(fgets(line, sizeof line, list)
              && sscanf(line, "gffe-raw %d %d %d %d %d %lf", &version, &size.width, &size.height, &size.render_width,
-                       &size.render_height, &size.fps) == 6
+                       &size.render_height, &size.fps)
+                    == 6
              && version == 1,
          "frames.txt", "does not begin with 'gffe-raw 1 WIDTH HEIGHT RENDER_WIDTH RENDER_HEIGHT FPS'");
     device = open_device(count > 3 ? arguments[3] : "");
