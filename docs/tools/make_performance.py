@@ -1,8 +1,6 @@
 """Writes the tables of docs/performance.md and the times in the README, from docs/measured/.
 
-    python docs/tools/make_performance.py
-
-What kernels load and store is recorded by `python docs/tools/count_traffic.py --lanes 1,8 --write`.
+python docs/tools/make_performance.py
 """
 
 from __future__ import annotations
@@ -12,24 +10,6 @@ from collections.abc import Callable
 from pages import DOCS, REPOSITORY, recorded, table, with_all
 
 PAGE, README = DOCS / "performance.md", REPOSITORY / "README.md"
-
-
-def traffic_table() -> str:
-    lanes = recorded("traffic")["lanes"]
-    first = next(iter(lanes.values()))
-    rows = []
-    for name in first:
-        counted = (f"{kernels[name]['loaded'] + kernels[name]['stored']:.1f}" for kernels in lanes.values())
-        rows.append((f"`{name}`", *counted))
-    heads = (f"loaded and stored, {'one pixel' if n == '1' else f'{n} pixels'} a work-item" for n in lanes)
-    return table(("bytes per pixel", *heads), rows)
-
-
-def size_of_traffic() -> str:
-    found = recorded("traffic")
-    width, height = found["part"]
-    whole = "×".join(map(str, found["size"]))
-    return f"In {width}×{height} pixels of `{found['of']}`, {whole}, which are much like the rest."
 
 
 _FAST = "GAE, preset `performance`"
@@ -60,8 +40,6 @@ def times_text() -> str:
 
 
 TABLES: dict[str, Callable[[], str]] = {
-    "traffic_size": size_of_traffic,
-    "traffic": traffic_table,
     "gpu": gpu_table,
 }
 
