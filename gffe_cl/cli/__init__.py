@@ -17,7 +17,7 @@ def main() -> None:
         warnings.simplefilter("ignore")
     with Interrupts() as interrupts:
         try:
-            from gffe_cl.cli.faults import explain
+            from gffe_cl.cli.common import explain
         except ModuleNotFoundError as error:  # where the engine alone is installed
             print(f"error: the command line needs {error.name}: pip install {error.name}", file=sys.stderr)
             sys.exit(2)

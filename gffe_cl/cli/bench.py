@@ -17,9 +17,9 @@ from gffe_cl.cli.common import (
     plain,
     progress_bars,
     steps,
+    takes_options,
     write_json,
 )
-from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError
 
 if TYPE_CHECKING:

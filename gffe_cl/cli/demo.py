@@ -17,8 +17,8 @@ from gffe_cl.cli.common import (
     plain,
     progress_bars,
     steps,
+    takes_options,
 )
-from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError, require_packages
 
 if TYPE_CHECKING:

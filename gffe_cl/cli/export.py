@@ -7,8 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gffe_cl.cli.common import DeviceOption, app, out, plain
-from gffe_cl.cli.options import takes_options
+from gffe_cl.cli.common import DeviceOption, app, out, plain, takes_options
 from gffe_cl.cli.run import open_source
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import OPTIONS
@@ -40,7 +39,7 @@ def export(
     options: Options,
 ) -> None:
     """Write the pipeline as C for engines: C99 and OpenCL alone, no Python. Options are fixed by it, sizes are not."""
-    from gffe_cl.captures.offline.raw_frames import write_frames
+    from gffe_cl.captures.offline.source import write_frames
     from gffe_cl.captures.scenes import is_scene
     from gffe_cl.engine.export import export as write
     from gffe_cl.engine.opencl.device import open_device

@@ -3,38 +3,33 @@ must be there first."""
 
 from __future__ import annotations
 
-import _thread
 import atexit
 import os
+import select
 import signal
 import sys
 import threading
-import time
 
 INTERRUPTED = 130
 _KINDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-_PATIENCE = 3
-_SOON = 0.02  # seconds
+_GRACE = 4.0  # seconds
 
 
 class Interrupts:
-    """Context in which the first of these signals raises KeyboardInterrupt in the main thread, the second is ignored so
-    that the current work can finish, and the third ends the process. Before `begin` nothing can be lost, so the first
-    signal ends the process, because libraries convert exceptions while they are loaded.
+    """Context in which the first of these signals raises KeyboardInterrupt in the main thread, so that the command can
+    keep what is finished. The second, or the end of `_GRACE`, ends the process at once. Before `begin` nothing can be
+    lost, so the first signal does, because libraries convert exceptions while they are loaded.
 
     Python handles signals between its own instructions only, and a call into a library may never return. So on POSIX a
-    thread counts the signals as they arrive, and ends the process itself.
+    thread waits for the signals, too. Signals that the process was started to ignore stay ignored.
 
-    `received` counts them. Signals that the process was started to ignore stay ignored.
+    `received`: whether one came; `told`: whether the user knows of it.
     """
 
     def __init__(self):
-        self.received = 0
-        self._working = False
+        self.received = self.told = self._working = False
         self._before: dict = {}
-        self._arrived = 0  # signals that the thread has counted
-        self._pipe: tuple[int, int] | None = None
-        self._ending = threading.Lock()
+        self._ending = threading.RLock()
 
     def begin(self) -> None:
         self._working = True
@@ -44,71 +39,44 @@ class Interrupts:
             for kind in _KINDS:
                 if signal.getsignal(kind) is not signal.SIG_IGN:
                     self._before[kind] = signal.signal(kind, self._receive)
-            self._hook, sys.unraisablehook = sys.unraisablehook, self._unraisable
             if os.name == "posix":
-                self._pipe = os.pipe()
-                os.set_blocking(self._pipe[1], False)
-                signal.set_wakeup_fd(self._pipe[1], warn_on_full_buffer=False)
-                threading.Thread(target=self._count, args=self._pipe[:1], name="gffe-signals", daemon=True).start()
+                end, self._pipe = os.pipe()
+                os.set_blocking(self._pipe, False)
+                signal.set_wakeup_fd(self._pipe, warn_on_full_buffer=False)
+                threading.Thread(target=self._wait, args=(end,), name="gffe-signals", daemon=True).start()
         return self
 
     def __exit__(self, *_) -> None:
-        if not self._before:
-            return
-        sys.unraisablehook = self._hook
-        if self._pipe:
-            signal.set_wakeup_fd(-1)
-            os.close(self._pipe[1])
-        for kind, handler in self._before.items():
-            signal.signal(kind, handler)
-        atexit.register(_end_quietly, tuple(self._before))
+        if self.received:  # the process ends
+            atexit.register(lambda: [signal.signal(kind, signal.SIG_DFL) for kind in self._before])
+        elif self._before:
+            if os.name == "posix":
+                signal.set_wakeup_fd(-1)
+                os.close(self._pipe)
+            for kind, handler in self._before.items():
+                signal.signal(kind, handler)
 
     def _receive(self, kind, frame) -> None:
-        self.received += 1
-        self._end_if_due(self.received)
-        if self.received == 1:
-            raise KeyboardInterrupt
+        if self.received or not self._working:
+            self._end()
+        self.received = True
+        sys.unraisablehook = lambda _: None  # of half-built objects, and of this interrupt in a destructor
+        raise KeyboardInterrupt
 
-    def _count(self, pipe: int) -> None:
-        """Count the signals that arrive, whose numbers Python writes into `pipe`, until that is closed."""
-        while arrived := os.read(pipe, 1):
-            if arrived[0] in self._before:
-                self._arrived += 1
-                self._end_if_due(self._arrived)
-        os.close(pipe)
+    def _wait(self, pipe: int) -> None:
+        """End the process by the second signal of which Python writes the number into `pipe`, or after the grace."""
+        kinds = b""
+        while len(kinds) < 1 + self._working:
+            if kinds and not select.select([pipe], [], [], _GRACE)[0]:
+                break
+            arrived = os.read(pipe, 1)
+            if not arrived:
+                return os.close(pipe)
+            kinds += arrived if arrived[0] in self._before else b""
+        self._end()
 
-    def _end_if_due(self, count: int) -> None:
-        if not self._working or count >= _PATIENCE:
-            if not self._ending.acquire(blocking=False):  # the other thread does it
-                time.sleep(1)
-                return
-            os.write(2, b"interrupted\n")
+    def _end(self) -> None:
+        with self._ending:  # by one thread
+            if not self.told:
+                os.write(2, b"interrupted\n")
             os._exit(INTERRUPTED)
-
-    def _unraisable(self, unraisable) -> None:
-        """Raise an interrupt again soon if it came in a destructor or a library's callback, where it cannot
-        propagate. Other complaints after an interrupt come from half-built objects."""
-        if not issubclass(unraisable.exc_type, KeyboardInterrupt):
-            if not self.received:
-                self._hook(unraisable)
-            return
-        self.received = self._arrived = 0
-        again = threading.Timer(_SOON, _interrupt, (next(iter(self._before)),))
-        again.daemon = True
-        again.start()
-
-
-def _interrupt(kind) -> None:
-    """Interrupt the process as if the signal had come from outside: a call that waits ends, too."""
-    if hasattr(signal, "pthread_kill"):
-        main = threading.main_thread().ident
-        assert main is not None  # it runs
-        signal.pthread_kill(main, kind)
-    else:
-        _thread.interrupt_main(kind)
-
-
-def _end_quietly(kinds) -> None:
-    """Suppress messages while Python ends."""
-    for kind in kinds:
-        signal.signal(kind, signal.SIG_DFL)

@@ -21,10 +21,10 @@ from gffe_cl.cli.common import (
     plain,
     progress_bars,
     steps,
+    takes_options,
     warn,
     write_json,
 )
-from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_choice
 from gffe_cl.engine.options import OPTIONS

@@ -15,8 +15,8 @@ from gffe_cl.cli.common import (
     app,
     output_file,
     parse_size,
+    takes_options,
 )
-from gffe_cl.cli.options import takes_options
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_seed
 
