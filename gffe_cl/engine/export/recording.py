@@ -31,8 +31,8 @@ from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.stages.upscaling import Upscaling
 
 MOST_PIXELS = 16384  # each way, of the images that C takes
-# Rendered and extrapolated images: tiny, and as large as C takes them, for there are levels that others do not have.
-_SIZES = ((51, 29), (67, 39)), ((13003, 3), (5, MOST_PIXELS))
+# Rendered and extrapolated images: as wide and as high as C takes them, for there are levels that others do not have.
+_SIZES = ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
 _GEOMETRY = "depth", "motion"
 _LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion")  # that frames bring
 
