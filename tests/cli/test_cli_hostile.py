@@ -3,27 +3,18 @@
 import fcntl
 import json
 import os
-import resource
 import shlex
 import shutil
 import subprocess
 import sys
 from pathlib import Path
-from types import SimpleNamespace
 
 import pytest
 from fuzz_arguments import arguments, kind, parameters, wrong
 
-from gffe_cl.cli import common
-from gffe_cl.engine.core import errors
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import only_process, replacing
-from gffe_cl.engine.export import writing
+from gffe_cl.engine.core.files import only_process
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.engine.options import Options
-from gffe_cl.lab.table import cells
-from gffe_cl.lab.table.cells import Cell
-from gffe_cl.lab.table.footage import SceneSubject
 
 
 def test_empty_and_infinite_values_are_refused(gffe, tmp_path, monkeypatch):
@@ -45,12 +36,6 @@ def test_a_word_that_is_no_command_names_what_is_meant(gffe):
     assert code == 2 and "doctor is no command (expected `gffe check SEQUENCE`)" in told
 
 
-def test_lists_of_numbers_are_finite():
-    for text in ("nan", "0.5,inf", "", "1e999"):
-        with pytest.raises(GffeError, match="must be numbers"):
-            common.parse_numbers(text, "--alpha")
-
-
 @pytest.mark.parametrize("streams", [">&-", "<&- >&- 2>&-", "2>/dev/full"])
 def test_closed_streams(streams, tmp_path):
     """They are like /dev/null: nothing lands in a file that is opened instead of them."""
@@ -58,31 +43,6 @@ def test_closed_streams(streams, tmp_path):
     command = f"{shlex.quote(sys.executable)} -m gffe_cl formats --json {shlex.quote(str(report))} {streams}"
     child = subprocess.run(["bash", "-c", command], capture_output=True, text=True)
     assert child.returncode == 0 and not child.stderr and json.loads(report.read_text())["formats"]
-
-
-def test_long_messages_keep_what_matters():
-    path = "/" + "x" * 5000
-    text = errors.shortened(f"{path}: cannot be read (expected a folder)")
-    assert len(text) < 300 and text.startswith("/xxx") and text.endswith("cannot be read (expected a folder)")
-    text = errors.shortened("kernels/a.cl does not build: " + "error: no such thing; " * 200)
-    assert len(text) == errors.MOST and text.startswith("kernels/a.cl does not build: error")
-    assert errors.shortened("short") == "short"
-
-
-def test_silence_is_broken_where_standard_error_is_no_terminal(monkeypatch, capsys):
-    """A line for each finished step, and for one that lasts, with an estimate; quick commands print none."""
-    now = [0.0]
-    monkeypatch.setattr(common.time, "monotonic", lambda: now[0])
-    with common.progress_bars() as bars:
-        for text, seconds in (("Quick", 0.1), ("Slow", 4.0)):
-            advance = common.steps(bars)(text, 5)
-            for _ in range(5):
-                now[0] += seconds
-                advance()
-    assert capsys.readouterr().err.splitlines() == [
-        "Slow: 3 of 5, 12 s, about 8 s left",
-        "Slow: 5 of 5, 20 s",
-    ]
 
 
 def test_one_process_per_folder(tmp_path, gffe):
@@ -100,38 +60,6 @@ def test_one_process_per_folder(tmp_path, gffe):
     (tmp_path / "file").write_text("")
     with pytest.raises(GffeError, match="cannot be written"), only_process(tmp_path / "file" / "folder"):
         pass
-
-
-@pytest.mark.limits
-def test_an_export_that_finds_no_room_leaves_nothing(tmp_path, monkeypatch):
-    monkeypatch.setattr(writing, "record", lambda *_: None)
-    monkeypatch.setattr(writing, "Tables", lambda _: SimpleNamespace(text=str, programs=("holes",)))
-    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
-    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, limits[1]))
-    try:
-        with pytest.raises(GffeError, match="cannot write"):
-            writing.export(tmp_path / "a" / "b", None, Options(shading_correction=False))
-    finally:
-        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
-    assert not list(tmp_path.iterdir())
-
-
-def test_broken_sequences_are_left_out(tmp_path, monkeypatch):
-    def cell(subject, method, *_, **__):
-        if subject.seed in broken:
-            raise GffeError("frame 3: is broken")
-        return Cell({"frames": []}, {"machine": "A", "milliseconds": 1.0})
-
-    monkeypatch.setattr(cells, "compute_cell", cell)
-    monkeypatch.setattr(cells, "machine_of", lambda *_: "A")
-    subjects = tuple(SceneSubject("room", seed, 64, 36, 6, 30.0, (0.5,)) for seed in range(3))
-    broken = [1]
-    filled = cells.fill(cells.TableOrder(subjects, ("repeat",)), tmp_path)
-    assert filled.broken == {"room:1": "frame 3: is broken"}
-    assert {name for name, _ in filled.cells} == {"room:0", "room:2"} == {s.name for s in filled.subjects}
-    broken = [0, 1, 2]
-    with pytest.raises(GffeError, match="room:2: frame 3"):
-        cells.fill(cells.TableOrder(subjects, ("repeat",), recompute=True), tmp_path)
 
 
 @pytest.mark.long
@@ -206,14 +134,6 @@ def test_standard_output_that_is_a_file(tmp_path):
         assert subprocess.run(command, stdout=file, timeout=60).returncode == 0
     text = (tmp_path / "all").read_text()
     assert "form " in text and '"formats": [' in text
-
-
-def test_errors_of_writing_name_the_file(tmp_path):
-    path = tmp_path / "report.txt"
-    with pytest.raises(OSError) as failed, replacing(path) as part:
-        part.write_text("half")
-        raise OSError(28, os.strerror(28))
-    assert failed.value.filename == str(path) and not list(tmp_path.iterdir())
 
 
 @pytest.mark.parametrize("option", ["--vgg", "--start"])

@@ -1,21 +1,12 @@
-"""Hostile values for every parameter of every command, for tests/cli/test_cli_hostile.py and docs/tools/fuzz.py."""
+"""Command lines with a value for each parameter of each command, for tests/cli/test_cli_hostile.py."""
 
 import functools
-import random
-import shlex
-import shutil
-import subprocess
-import sys
-import time
-from pathlib import Path
 
 import typer
 
 from gffe_cl.cli.commands import app
 
-SECONDS = 10  # that a command may take to refuse a value
 CODES = (0, 1, 2)
-EVERYWHERE = ("", "nan", "-1", "inf", "1e99", str(2**70), "x" * 5000, "{folder}", "{file}", "/dev/null")
 # Arguments with which a command is quick where the value is good, or cannot work at all where it is slow.
 QUICK = {
     "render": ("corridor", "{out}", "--size", "32x32", "--frames", "2"),
@@ -29,7 +20,6 @@ QUICK = {
     "train": ("{file}", "--clips", "1"),
     "demo": ("--output", "{file}", "--size", "32x32"),
 }
-LONG = ("selftest", "view")  # take minutes, or open a window, where a value is good: only values that no command takes
 
 
 @functools.cache
@@ -63,31 +53,6 @@ def arguments(name: str, parameter, value: str) -> list[str]:
     return [name, *base[:index], *base[index + 1 :], "--", value] if index + 1 == len(positions) else [name, *base]
 
 
-def cases():
-    """Every command line: each parameter of each command with each value."""
-    for name, parameter in parameters():
-        for value in EVERYWHERE if name not in LONG else ("",):
-            yield arguments(name, parameter, value)
-
-
-def fault(words: list[str], places: dict[str, str], folder: Path) -> str:
-    """Return the fault of `gffe WORDS` in a process of its own, in `folder`; "" if there is none."""
-    given = [word.format(**places) if "{" in word else word for word in words]
-    before = set(folder.iterdir())
-    try:
-        child = subprocess.run(
-            [sys.executable, "-m", "gffe_cl", *given], capture_output=True, text=True, timeout=SECONDS, cwd=folder,
-            stdin=subprocess.DEVNULL, errors="replace",
-        )  # fmt: skip
-    except subprocess.TimeoutExpired:
-        return f"takes longer than {SECONDS} s"
-    return wrong(child.returncode, child.stderr) or ", ".join(
-        f"wrote {path}"
-        for path in set(folder.iterdir()) - before
-        if str(path) not in places.values() and not any(word.endswith(path.name) for word in given)
-    )
-
-
 def wrong(code: int, errors: str) -> str:
     """Return the fault of an exit code and a text on standard error."""
     if code not in CODES or "Traceback" in errors:
@@ -96,25 +61,3 @@ def wrong(code: int, errors: str) -> str:
     if code == 2 and (len(told) != 1 or len(told[0]) > 1020):
         return f"not one line: {errors[:300]}"
     return ""
-
-
-def run(seconds: float, seed: int, folder: Path) -> list[str]:
-    """Run cases in an order by chance until the time is over, and return the faults. `folder` holds the files they
-    need."""
-    places = {name: str(folder / name) for name in ("sequence", "folder", "file", "out")}
-    Path(places["folder"]).mkdir()
-    Path(places["file"]).write_text("a file\n")
-    render = ["render", "corridor", places["sequence"], "--size", "32x32", "--frames", "4", "--ground-truth"]
-    subprocess.run([sys.executable, "-m", "gffe_cl", *render], check=True, capture_output=True)
-    every, end, found, count = list(cases()), time.monotonic() + seconds, [], 0
-    random.Random(seed).shuffle(every)
-    for words in every:
-        count += 1
-        shutil.rmtree(places["out"], ignore_errors=True)
-        if said := fault(words, places, folder):
-            found.append(f"gffe {shlex.join(word[:60] for word in words)}: {said}")
-            print(found[-1], flush=True)
-        if time.monotonic() > end:
-            break
-    print(f"arguments: {count} of {len(every)} command lines, {len(found)} faults")
-    return found

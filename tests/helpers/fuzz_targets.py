@@ -1,4 +1,4 @@
-"""Targets of fuzzing (docs/tools/fuzz.py, test_fuzz.py): small valid inputs of everything that comes from outside, what
+"""Targets of fuzzing (test_fuzz.py): small valid inputs of everything that comes from outside, what
 reads them, and mutations. A target takes bytes and must end well or with a GffeError of one line, else it is a fault.
 """
 
@@ -20,13 +20,10 @@ from foreign import Shot, write_blender
 from foreign_sets import write_unreal
 from PIL import Image
 
-from gffe_cl import Camera, GffeError, open_capture
-from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, exr_layout, named_channels
+from gffe_cl import GffeError, open_capture
+from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.engine.core.errors import MOST
-from gffe_cl.engine.frame import conventions
-from gffe_cl.engine.frame.camera import predict_camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
-from gffe_cl.engine.options import OPTIONS, Options
 from gffe_cl.engine.selftest.scene import FPS, frames
 
 W, H, COUNT = 12, 9, 2
@@ -136,112 +133,6 @@ def read_capture(form, file, data):
         opened.warnings()
 
 
-def read_camera(data):
-    """Matrices and numbers of engines, as bytes of float64, and what is made of the cameras that they give."""
-    numbers = np.frombuffer(data.ljust(8 * 40, b"\0")[: 8 * 40], "<f8")
-    view, projection, rest = numbers[:16].reshape(4, 4), numbers[16:32].reshape(4, 4), numbers[32:].tolist()
-    calls = (
-        lambda: Camera(view, *rest[:4]),
-        lambda: Camera.from_opengl(view, projection, (W, H)),
-        lambda: Camera.from_direct3d(view, projection, (W, H)),
-        lambda: Camera.from_vulkan(view, projection, (W, H)),
-        lambda: Camera.from_unity(view, projection, (W, H)),
-        lambda: Camera.from_unreal(view, projection, (W, H)),
-        lambda: Camera.from_unreal_pose(rest[:3], rest[3:6], rest[6], (W, H)),
-        lambda: predict_camera(Camera(view, *rest[:4]), Camera(projection, *rest[4:8]), 0.5),
-        lambda: Camera.look_at(rest[:3], rest[3:6], (0, 1, 0), *numbers[28:32]),
-        lambda: conventions.depth_from_device(rest, projection),
-    )
-    for call in calls:
-        try:
-            made = call()
-        except GffeError:
-            continue
-        if isinstance(made, Camera):
-            made.view_to_world  # noqa: B018
-            made.scaled(0.5, 2.0)
-
-
-def read_options(data):
-    """Options as a JSON object, and as words of the command line."""
-    try:
-        given = json.loads(data)
-    except (ValueError, RecursionError):
-        return
-    if isinstance(given, dict):
-        for name, value in given.items():
-            if name in OPTIONS:
-                try:
-                    Options(**{name: value})
-                except GffeError:
-                    continue
-
-
-def options_seed():
-    given = {name: option.default for name, option in OPTIONS.items()}
-    return json.dumps(given).encode()
-
-
-def camera_seed():
-    camera = seen()[1].camera
-    matrices = [camera.world_to_view.ravel(), camera.projection_matrix("opengl", W, H, near=0.1).ravel()]
-    return np.concatenate([*matrices, camera.intrinsics, [1.0, 2.0, 3.0, 4.0]]).astype("<f8").tobytes()
-
-
-ATTRIBUTES = (
-    "view", "multiView", "chromaticities", "pixelAspectRatio", "whiteLuminance", "adoptedNeutral", "colorInteropID",
-    "framesPerSecond", "envmap", "compression", "name", "type", "dataWindow", "displayWindow", "worldToCamera", "own",
-)  # fmt: skip
-FORMS = {
-    "string": lambda rng: rng.choice([b"", b"left", b"right", b"\xff\0x", b"a" * 5000]),
-    "stringvector": lambda rng: rng.choice([b"", struct.pack("<i", 4) + b"left", struct.pack("<i", -1), b"\1\0\0"]),
-    "float": lambda rng: struct.pack("<f", rng.choice([0, 1, -1, 2, 1e-30, 1e30, np.nan, np.inf])),
-    "double": lambda rng: struct.pack("<d", rng.choice([0, 1, -1, 1e300, np.nan])),
-    "int": lambda rng: struct.pack("<i", int(rng.choice([0, 1, -1, 2**31 - 1]))),
-    "rational": lambda rng: struct.pack("<iI", *rng.choice([0, 1, 24, 2**31 - 1], 2)),
-    "v2f": lambda rng: struct.pack("<2f", *rng.choice([0, 1, np.nan, 1e30], 2)),
-    "chromaticities": lambda rng: struct.pack("<8f", *rng.choice([0, 0.3, np.nan, 1e30, -5], 8)),
-    "box2i": lambda rng: struct.pack("<4i", *rng.choice([0, 1, W - 1, H - 1, -(2**31), 2**31 - 1], 4)),
-    "m44f": lambda rng: struct.pack("<16f", *rng.choice([0, 1, np.nan, 1e30], 16)),
-    "envmap": lambda rng: bytes([int(rng.integers(3))]), "compression": lambda rng: bytes([int(rng.integers(14))]),
-}  # fmt: skip
-
-
-def with_attributes(data, numbers):
-    """Return an EXR file with further attributes at the beginning of its header; the chunk table moves along."""
-    rng = np.random.default_rng(np.frombuffer(numbers.ljust(4, b"\0")[:4], np.uint32)[0])
-    added = b""
-    for _ in range(int(rng.integers(1, 4))):
-        form = str(rng.choice(list(FORMS)))
-        value = FORMS[form](rng)
-        name = str(rng.choice(ATTRIBUTES))
-        added += f"{name}\0{form}\0".encode() + struct.pack("<i", len(value)) + bytes(value)
-    head = exr_layout._parse(exr_layout._Cursor(data))
-    table = struct.Struct(f"<{exr_layout._chunk_count(head.parts[0])}Q")
-    offsets = [offset + len(added) for offset in table.unpack(data[head.end : head.end + table.size])]
-    return data[:8] + added + data[8 : head.end] + table.pack(*offsets) + data[head.end + table.size :]
-
-
-def read_attributes(form, file, numbers):
-    """Read a capture in which one header has further attributes, and write and read it again."""
-    data = with_attributes((valid(form)[0] / file).read_bytes(), numbers)
-    root, inside = valid(form)
-    with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
-        copied = shutil.copytree(root, Path(temporary) / "in", copy_function=os.link)
-        for path in copied.rglob("*.exr"):
-            path.unlink()
-            path.write_bytes(data if rng_of(numbers).integers(2) else (root / path.relative_to(copied)).read_bytes())
-        opened = open_capture(copied / inside)
-        opened.warnings()
-        with SequenceWriter(Path(temporary) / "out", W, H, FPS) as writer:
-            for entry in opened.rendered:
-                frame = opened.read(entry)
-                named = FrameEntry(f"{len(entry.file)}.exr", entry.time, render_camera=frame.camera)
-                writer.add(named, named_channels(frame.color, frame.depth, frame.motion))
-                break
-        open_capture(Path(temporary) / "out")
-
-
 def rng_of(numbers):
     return np.random.default_rng(list(numbers) or [0])
 
@@ -285,7 +176,7 @@ def read_numbering(form, numbers):
 @cache
 def targets():
     """Return targets by name, such as "sequence:frame_1.exr"."""
-    found = {"camera": Target(camera_seed(), read_camera), "options": Target(options_seed(), read_options, True)}
+    found = {}
     for form, files in FILES.items():
         for file in files:
 
@@ -293,12 +184,6 @@ def targets():
                 read_capture(form, file, data)
 
             data = (valid(form)[0] / file).read_bytes()
-            if file.endswith(".exr"):
-
-                def further(numbers, form=form, file=file):
-                    read_attributes(form, file, numbers)
-
-                found[f"{form}:attributes"] = Target(b"seed", further, drawn=True)
             found[f"{form}:{Path(file).name}"] = Target(data, read, file.endswith(".json"))
         if form == "unreal":
             found[f"{form}:numbering"] = Target(

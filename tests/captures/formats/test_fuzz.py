@@ -1,4 +1,4 @@
-"""What comes from outside, mutated: a short form of docs/tools/fuzz.py, and the inputs that it has found."""
+"""What comes from outside, mutated, and inputs that were faults."""
 
 from pathlib import Path
 
@@ -8,13 +8,8 @@ from fuzz_targets import FILES, Target, check, mutated, targets
 
 from gffe_cl import GffeError
 
-NAMES = (
-    "camera",
-    "options",
-    *(f"{form}:{Path(file).name}" for form, files in FILES.items() for file in files),
-)
-DRAWN = (*(f"{form}:attributes" for form in ("sequence", "blender", "unreal")),)
-DRAWN += ("unreal:numbering",)
+NAMES = tuple(f"{form}:{Path(file).name}" for form, files in FILES.items() for file in files)
+DRAWN = ("unreal:numbering",)
 CASES = sorted((Path(__file__).parent / "fuzz_cases").glob("*-*"))
 MUTATIONS = 12
 
