@@ -16,15 +16,15 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from pages import DOCS, PICTURES, table, write_tables
+from pages import DOCS, PICTURES, REPOSITORY, table, write_tables
 from PIL import Image, ImageDraw
 
 import gffe_cl as gffe
 from gffe_cl.captures.doctor import examine
-from gffe_cl.captures.doctor.findings import FAULT
-from gffe_cl.lab.fault_injection import Kept
 
 sys.path.insert(0, str(DOCS / "examples"))
+sys.path.insert(0, str(REPOSITORY / "tests" / "helpers"))
+from fault_injection import Kept
 from panda3d_live import Game
 
 SIZE, RATE = (480, 270), 15
@@ -126,10 +126,10 @@ def mistakes(game: Game) -> None:
         source = {"skin without its old vertices": rigid, "jitter not in cx, cy": jittered}.get(mistake.name, right)
         frames = [mistake.make(frame, before) for frame, before in zip(source, [None, *source], strict=False)]
         image = generated(frames, camera, time)
-        quick = (gffe.check(frames[1:4]) or "nothing").partition("; ")[0].rpartition("most likely ")[2]
-        faults = [f"`{found.id}`" for found in examine(Kept(frames)).findings if found.kind == FAULT]
+        quick, faults = ([f"`{one.name}`" for one in examine(Kept(some)).faults] for some in (frames[1:4], frames))
         tiles.append((f"mistake: {mistake.name}", image))
-        rows.append((mistake.name, f"{gffe.psnr(image, truth):.2f}", quick, ", ".join(faults) or "nothing"))
+        found = (", ".join(names) or "nothing" for names in (quick, faults))
+        rows.append((mistake.name, f"{gffe.psnr(image, truth):.2f}", *found))
     heads = "mistake", "PSNR, dB", "`gffe.check` finds", "`gffe check` finds"
     write_tables("tutorial_live.md", {"mistakes": table(heads, rows)})
     sheet(tiles).save(PICTURES / "live_mistakes.jpg", quality=88)

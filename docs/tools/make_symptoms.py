@@ -2,8 +2,8 @@
 
     python docs/tools/make_symptoms.py [NAME …]
 
-A fault is injected into frames of a built-in scene (those of `gffe_cl.lab.fault_injection` by name, others here), or a
-module is switched off. The pictures are not measurements: places are chosen where the fault is plain to see.
+A fault is injected into frames of a built-in scene (tests/helpers/fault_injection.py has some), or a module is
+switched off. The pictures are not measurements: places are chosen where the fault is plain to see.
 """
 
 from __future__ import annotations
@@ -15,7 +15,7 @@ from itertools import pairwise
 
 import numpy as np
 from make_stage_pictures import PINK, YELLOW, Part, depth_colors, is_hole, marked
-from pages import PICTURES
+from pages import PICTURES, REPOSITORY
 from PIL import Image, ImageDraw
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
@@ -24,10 +24,12 @@ from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.lab.fault_injection import Kept, broken
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import contact_sheet, to_image
 from gffe_cl.viewer.picture.displays import LABEL_COLORS
+
+sys.path.insert(0, str(REPOSITORY / "tests" / "helpers"))
+from fault_injection import Kept, broken
 
 SIZE, CELL, QUALITY = (640, 360), 320, 82
 COUNT = 6  # rendered frames, the last of which is extrapolated

@@ -50,16 +50,28 @@ def import_(
             " added up."
         ),
     ] = 1,
+    format_path: Annotated[
+        Path | None,
+        typer.Option(
+            "--format",
+            metavar="JSON",
+            help="Format of the capture in place of its own one: a file of `gffe check --format-out`.",
+        ),
+    ] = None,
     encode: EncodeOption = None,
     compression: CompressionOption = "zip",
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
 ) -> None:
     """Convert a capture of any known form into a sequence of our own."""
+    from gffe_cl.captures.doctor import FoundFormat, with_format
     from gffe_cl.captures.formats import open_capture
     from gffe_cl.captures.formats.importing import import_capture
 
+    found = None if format_path is None else FoundFormat.open(format_path)
     encoding, opened = parse_encoding(encode), open_capture(sequence)
+    if found is not None:
+        opened = with_format(opened, found)
     total = len(opened.rendered) + len(opened.ground_truth)
     with progress_bars() as progress:
         report = import_capture(

@@ -129,15 +129,15 @@ def run(
 def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> bool:
     """Print a warning if the first frames of a sequence do not fit. Return whether they show a user interface and
     `ui_detection` is "auto"."""
-    from gffe_cl.captures.doctor import first_diagnosis, has_interface, warning_of
+    from gffe_cl.captures.doctor import quick_warning, shows_interface
     from gffe_cl.captures.offline.source import Recorded
 
     if not isinstance(source, Recorded):
         return False
-    diagnosis = first_diagnosis(source.sequence, source.exposure)
-    suspicion, detects = warning_of(diagnosis), ui_detection == "auto" and has_interface(diagnosis)
+    suspicion = quick_warning(source.sequence, source.exposure)
     if suspicion:
         warn(f"{suspicion}; `gffe check {target}` has details")
+    detects = ui_detection == "auto" and shows_interface(source.sequence, source.exposure)
     if detects:
         out.print("user interface detection is on; `--ui-detection off` leaves it out", soft_wrap=True)
     return detects

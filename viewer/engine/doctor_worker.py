@@ -24,30 +24,30 @@ class Doctor:
         Faults first, then notes and what cannot be told.
     marks : dict
         Rendered frames that something is said of, with what.
+    converts : bool
+        Whether a format to paste undoes all faults.
     problem : str
         Why it could not be examined.
     """
 
     def __init__(self, sequence: Sequence):
-        self.done, self.problem = False, ""
+        self.done, self.problem, self.converts = False, "", False
         self.findings: list[Finding] = []
         self.marks: dict[int, str] = {}
         Background("doctor").run(self._run, sequence)
 
     def _run(self, sequence: Sequence) -> None:
         from gffe_cl.captures.doctor import examine
-        from gffe_cl.captures.doctor.findings import FAULT, NOTE, WARNING
+        from gffe_cl.captures.doctor.findings import Cut, Gap, OffInOneFrame
 
         try:
-            found = examine(sequence, sequence.exposure)
+            found = examine(sequence, sequence.exposure, sequence.format)
         except GffeError as error:
             self.problem = str(error)
         except Exception as error:  # a window shows it; nothing else depends on it
             self.problem = f"{type(error).__name__}: {error}"
         else:
-            kinds = [FAULT, WARNING, NOTE]
-            rank = {kind: place for place, kind in enumerate(kinds)}
-            self.findings = sorted(found.findings, key=lambda finding: rank.get(finding.kind, len(kinds)))
-            if found.order is not None:
-                self.marks = dict.fromkeys(found.order.misfits, _WRONG_PLACE)
+            self.findings, self.converts = found.findings, found.found is not None
+            alone = [one.frame for one in self.findings if isinstance(one, Cut | Gap | OffInOneFrame)]
+            self.marks = dict.fromkeys(alone, _WRONG_PLACE)
         self.done = True

@@ -39,22 +39,18 @@ def draw(app: App) -> None:
                 if imgui.text_link(f"{frame}###mark {frame}"):
                     model.playback.seek(frame * (model.n + 1))
                 widgets.tooltip(f"rendered frame {frame} {reason}")
-    if offers_repair(doctor.findings):
+    if doctor.converts:
         imgui.separator()
-        widgets.hint(printable(f"gffe check {model.source.target} --fix OUT  repairs the faults"))
-
-
-def offers_repair(findings) -> bool:
-    """Return whether `gffe check --fix` repairs one of the faults; notes are not repaired without being asked for."""
-    return any(finding.kind == "fault" and finding.fix for finding in findings)
+        command = f"gffe check {model.source.target} --format-out FOUND.json"
+        widgets.hint(printable(f"{command}  writes the format that undoes this, for gffe import --format"))
 
 
 def _findings(model: Model, doctor) -> None:
     if not doctor.findings:
         return
-    from gffe_cl.captures.doctor.findings import FAULT, NOTE, WARNING  # loaded by now
+    from gffe_cl.captures.doctor.findings import FAULT, NOTE  # loaded by now
 
-    colors = {FAULT: widgets.red(), WARNING: _AMBER, NOTE: _AMBER}
+    colors = {FAULT: widgets.red(), NOTE: _AMBER}
     for finding in doctor.findings:
         widgets.colored(colors.get(finding.kind, _GRAY), finding.kind)
         imgui.text_wrapped(str(finding))
@@ -62,6 +58,6 @@ def _findings(model: Model, doctor) -> None:
             for name, (frame, x, y) in finding.places.items():
                 text = f"{name} in frame {frame}"
                 row(imgui.calc_text_size(text).x)
-                if imgui.text_link(f"{text}###place {finding.id} {name}"):
+                if imgui.text_link(f"{text}###place {finding.name} {name}"):
                     model.walk.follow_input(frame, (x, y))
                 widgets.tooltip(f"rendered frame {frame}, pixel ({x}, {y}) of the input")

@@ -1,23 +1,18 @@
-"""The doctor: diagnosis and repair of faults in captured sequences (`gffe check`)."""
+"""The doctor: diagnosis of faults in captured sequences (`gffe check`), and the format that undoes them."""
 
-from gffe_cl.captures.doctor.choosing import require_findings, selected
 from gffe_cl.captures.doctor.diagnose import Diagnosis, examine
 from gffe_cl.captures.doctor.findings import Finding
-from gffe_cl.captures.doctor.opening import open_for_check
-from gffe_cl.captures.doctor.quick import first_diagnosis, has_interface, quick_warning, warning_of
-from gffe_cl.captures.doctor.repair import Repair, write_repaired
+from gffe_cl.captures.doctor.found_format import FoundFormat, with_format
+from gffe_cl.captures.doctor.quick import quick_warning, warning_of
+from gffe_cl.captures.doctor.user_interface import shows_interface
 
 __all__ = [
     "Diagnosis",
     "Finding",
-    "Repair",
+    "FoundFormat",
     "examine",
-    "first_diagnosis",
-    "has_interface",
-    "open_for_check",
     "quick_warning",
-    "require_findings",
-    "selected",
+    "shows_interface",
     "warning_of",
-    "write_repaired",
+    "with_format",
 ]

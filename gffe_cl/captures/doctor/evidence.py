@@ -1,163 +1,186 @@
-"""Samples that can be evidence: vectors that were never written are set aside, and buffers without usable samples are
-faults."""
+"""Evidence for readings: residuals of motion vectors against depth and cameras, and colors along both.
+
+Samples of several frames lie one after the other: `Bench`.
+"""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import FAULT, Finding, finding
-from gffe_cl.captures.doctor.hypotheses.sampling import PREVIOUS, Look
+from gffe_cl.captures.doctor.readings import Cameras, Depth, Motion, rays
+from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Look, sampled
 
-FEWEST = 16  # usable samples in all frames
-_LEAST_DEPTH, _LEAST_MOTION = 0.002, 0.1  # shares of the samples: a picture may show little but sky
-_SHARED, _LEADS_OUT = 0.01, 0.5  # shares of samples with one vector, and of those that it leads out of the image
-_LEAST_NORMAL = np.finfo(np.float32).smallest_normal
-_BITS = 0x30000000, 0x7F800000  # those of 32-bit floats from 5e-10 to infinity
-_TRIED = 8  # vectors that many samples share
-_MOST_NAMED = 6  # frames
+_STILL = 0.05  # share of the usual motion: samples with less are no evidence on motion vectors
+_CHANCE = 0.2  # color score where nothing is known
+_FEWEST = 16  # samples
+_SMALLEST = 0.02  # pixels: the unit of visible errors
 
 
-def set_aside_unwritten(looks: Iterable[Look]) -> list[Finding]:
-    """Make vectors that were never written NaN in `looks`, and return notes about them: vectors as long as the
-    diagonal of the image, and one vector that many samples share although it leads out of the image. Vectors of resets
-    lead nowhere and are left alone."""
-    looks = [look for look in looks if look.motion is not None and not look.reset]
-    if not looks:
-        return []
-    found = _long_vectors(looks)
-    shared = _shared_vector(looks)
-    if shared is not None:
-        share = float(np.mean([_set_aside(look, lambda motion: (motion == shared).all(-1)) for look in looks]))
-        found.append(_unwritten(share, "have one and the same value, which leads out of the image", shared))
-    return found
+@dataclass
+class Reach:
+    """Samples seen from the frame that motion leads to, after the camera's rotation and its translation.
+
+    `turned` (N, 3): rays after the rotation; `shift` (N, 3): translation in view space of the other frame; `focal`,
+    `center` (N, 2): of its camera, pixels; `ray` (N, 3): before the rotation.
+    """
+
+    ray: np.ndarray
+    turned: np.ndarray
+    shift: np.ndarray
+    focal: np.ndarray
+    center: np.ndarray
+
+    def pixels(self, w: np.ndarray) -> np.ndarray:
+        """Return pixel positions (N, 2) of static points at 1 / depth `w` (N,); NaN behind the camera."""
+        v = self.turned + w[:, None] * self.shift
+        with np.errstate(divide="ignore", invalid="ignore", over="ignore"):
+            at = v[:, :2] / v[:, 2:] * self.focal + self.center
+        at[~(v[:, 2] > 1e-6)] = np.nan
+        return at
+
+    def equations(self, px: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
+        """Return a, b (N, 2) with a · w = b for points that are seen at `px`: their differences are in pixels at depth
+        1."""
+        u = (px - self.center) / self.focal
+        a = u * self.shift[:, 2:] - self.shift[:, :2]
+        b = self.turned[:, :2] - u * self.turned[:, 2:]
+        return a * self.focal, b * self.focal
 
 
-def _long_vectors(looks: list[Look]) -> list[Finding]:
-    long = np.concatenate([_motion(look)[look.is_long(_motion(look))] for look in looks])
-    share = float(np.mean([look.bad.long / np.prod(look.size) for look in looks]))
-    for look in looks:
-        _set_aside(look, look.is_long)
-    if not share:
-        return []
-    return [_unwritten(share, "are longer than the image's diagonal", _most_common(long, 0.5 * len(long)))]
+class Bench:
+    """Samples of several looks, one after the other, every `thin`-th of each."""
+
+    def __init__(self, looks: list[Look], thin: int = 1):
+        self.looks, self._thin = looks, thin
+        self._counts = [len(look.px[::thin]) for look in looks]
+        self.frame = np.repeat(np.arange(len(looks)), self._counts)
+        self.px, self.stored, self.solid, self.color, self.contrast, self.textured = (
+            np.concatenate([getattr(look, name)[::thin] for look in looks])
+            for name in ("px", "depth", "solid", "color", "contrast", "textured")
+        )
+        self._reaches: dict = {}
+        self._motions: dict = {}
+        self._scales: dict = {}
+
+    @cached_property
+    def has(self) -> dict[int, np.ndarray]:
+        """Masks {step → (N,) bool} of samples that have a frame in that direction."""
+        return {s: np.repeat([s in look.neighbors for look in self.looks], self._counts) for s in (PREVIOUS, NEXT)}
+
+    def motion(self, reading: Motion) -> np.ndarray:
+        """Return motion (N, 2) in pixels; NaN where the file has none."""
+        if reading not in self._motions:
+            found = []
+            for look, count in zip(self.looks, self._counts, strict=True):
+                v = reading.pixels(look)
+                found.append(np.full((count, 2), np.nan) if v is None else v[:: self._thin])
+            self._motions[reading] = np.concatenate(found)
+        return self._motions[reading]
+
+    def reach(self, reading: Cameras, step: int) -> Reach:
+        key = reading, step
+        if key not in self._reaches:
+            self._reaches[key] = self._new_reach(reading, step)
+        return self._reaches[key]
+
+    def _new_reach(self, reading: Cameras, step: int) -> Reach:
+        parts: tuple = ([], [], [], [], [])
+        for look in self.looks:
+            px = look.px[:: self._thin]
+            here = reading.read(look.camera)
+            there = reading.read(look.neighbors[step].camera) if step in look.neighbors else here
+            m, ray = here.to_view_of(there), rays(here, px)
+            values = (ray, ray @ m[:3, :3].T, m[:3, 3], (there.fx, there.fy), (there.cx, there.cy))
+            for part, value in zip(parts, values, strict=True):
+                part.append(np.broadcast_to(value, (len(px), np.shape(value)[-1])))
+        return Reach(*(np.concatenate(part) for part in parts))
+
+    def static(self, cameras: Cameras, depth: Depth, step: int = PREVIOUS) -> np.ndarray:
+        """Return the motion (N, 2), in pixels, of every sample if nothing but the camera moves; NaN where that is
+        unknown."""
+        reach = self.reach(cameras, step)
+        moved = reach.pixels(depth.inverse(self.stored, reach.ray)) - self.px
+        return np.where(self.has[step][:, None], moved, np.nan)
+
+    def parts(self, chosen: np.ndarray) -> list[np.ndarray]:
+        """Return the `chosen` samples (N,) of each look, as masks of all samples."""
+        return [chosen & (self.frame == k) for k in range(len(self.looks))]
+
+    def by_frame(self, values: np.ndarray, chosen: np.ndarray) -> np.ndarray:
+        """Return the mean (looks,) of the chosen `values` (N,); NaN where there are few."""
+        count = np.bincount(self.frame[chosen], minlength=len(self.looks))
+        total = np.bincount(self.frame[chosen], values[chosen], minlength=len(self.looks))
+        return np.where(count >= 8, total / np.maximum(count, 1), np.nan)
+
+    def color_scores(self, motion: np.ndarray, step: int) -> np.ndarray:
+        """Return (N,) the agreement of colors along `motion` (N, 2): 1 for equal ones, NaN without evidence."""
+        score = np.full(len(motion), np.nan)
+        for k, look in enumerate(self.looks):
+            other = look.neighbors.get(step)
+            use = (self.frame == k) & self.textured
+            if other is None or other.image is None or not use.any():
+                continue
+            met, inside = sampled(other, self.px[use] + np.nan_to_num(motion[use], nan=1e9))
+            off = np.abs(met - self.color[use]).mean(-1) / self.contrast[use]
+            score[use] = np.where(inside, 1 / (1 + (off / 0.25) ** 2), _CHANCE)
+        return score
+
+    def colors_along(self, motion: np.ndarray, step: int) -> float:
+        """Return the agreement of colors along `motion` (N, 2), where it moves; NaN without evidence."""
+        score = self.color_scores(motion, step)
+        return trimmed(self.by_frame(score, np.isfinite(score) & _moving(motion)))
+
+    def scale(self, reading: Motion, step: float) -> tuple[float, float]:
+        """Return the coarsest and the finest residuals that are evidence, in pixels. Frames in which nearly nothing
+        moves do not count. `step`: of quantized vectors."""
+        if (reading, step) not in self._scales:
+            self._scales[reading, step] = self._new_scale(reading, step)
+        return self._scales[reading, step]
+
+    def _new_scale(self, reading: Motion, step: float) -> tuple[float, float]:
+        length = np.linalg.norm(self.motion(reading), axis=-1)
+        known = np.isfinite(length)
+        usual = np.array([np.median(length[part]) if part.any() else 0.0 for part in self.parts(known)])
+        known &= (usual >= _STILL * usual.max())[self.frame]
+        scale = max(float(np.median(length[known])) if known.any() else 0.0, _SMALLEST)
+        return max(0.5 * scale, 2 * step), max(0.005 * scale, 0.5 * step)
+
+    def offsets(self, off: np.ndarray, use: np.ndarray) -> np.ndarray:
+        """Return the common offset (looks, 2) of most of `off` (N, 2) in each frame: the center of the densest
+        region."""
+        found = np.zeros((len(self.looks), 2))
+        for k, part in enumerate(self.parts(use & np.isfinite(off).all(-1))):
+            values = off[part]
+            if len(values) < _FEWEST:
+                continue
+            center = np.median(values, 0)
+            for _ in range(8):
+                apart = ((values - center) ** 2).sum(-1)
+                weight = 1 / (1 + apart / max(float(np.quantile(apart, 0.4)), 1e-8)) ** 2
+                center = weight @ values / weight.sum()
+            found[k] = center
+        return found
 
 
-def _unwritten(share: float, what: str, value: np.ndarray | None) -> Finding:
-    """Return the note about vectors that were never written. `value`: that of most of them, in pixels."""
-    percent = f"{share:.0%}" if share >= 0.01 else f"{100 * share:.1g}%"
-    one = "" if value is None else f" ({value[0]:.6g}, {value[1]:.6g} px)"
-    figures = {"share": share, "value": None if value is None else value.tolist()}
-    return finding("motion: never written", figures, share=percent, what=what, value=one)
+def trimmed(by_frame: np.ndarray) -> float:
+    """Return the mean over frames without the worst third, because a few frames may have other faults; NaN without
+    frames."""
+    values = np.sort(by_frame[np.isfinite(by_frame)])
+    return float(values[len(values) // 3 :].mean()) if len(values) else float("nan")
 
 
-def _set_aside(look: Look, unwritten) -> float:
-    """Make samples of `look` NaN where `unwritten` is true for their vectors. Return the share of them."""
-    share = 0.0
-    for values in (look.motion, look.mirrored.get("motion")):
-        if values is not None:
-            wrong = unwritten(values)
-            values[wrong] = np.nan
-            share = share or float(wrong.mean())
-    return share
+def _moving(motion: np.ndarray) -> np.ndarray:
+    """Return the mask (N,) bool of samples whose motion is not zero."""
+    length = np.linalg.norm(np.nan_to_num(motion), axis=-1)
+    return length > _STILL * np.quantile(length, 0.95) if length.any() else np.zeros(len(length), bool)
 
 
-def _shared_vector(looks: list[Look]) -> np.ndarray | None:
-    """Return the vector (2,) of many samples that leads many of them out of the image."""
-    vectors = np.concatenate([_motion(look) for look in looks])
-    px = np.concatenate([look.px for look in looks])
-    size = np.concatenate([np.broadcast_to(look.size, look.px.shape) for look in looks])
-    usable = np.isfinite(vectors).all(-1) & vectors.any(-1)
-    values, counts = np.unique(vectors[usable], axis=0, return_counts=True)
-    fewest = max(FEWEST, _SHARED * len(vectors))
-    for k in np.argsort(-counts)[:_TRIED]:
-        if counts[k] < fewest:
-            break
-        same = (vectors == values[k]).all(-1)
-        to = px[same] + values[k]
-        if ((to < 0) | (to > size[same])).any(-1).mean() >= _LEADS_OUT:
-            return values[k]
-    return None
-
-
-def _most_common(vectors: np.ndarray, fewest: float) -> np.ndarray | None:
-    """Return the value that at least so many of `vectors` (N, 2) have."""
-    values, counts = np.unique(vectors, axis=0, return_counts=True)
-    return values[counts.argmax()] if len(counts) and counts.max() >= max(fewest, 1) else None
-
-
-def too_few_usable(looks: Iterable[Look]) -> list[Finding]:
-    """Return a fault for each buffer of `looks` that has too few usable values to compare anything, and a note where
-    this holds for some frames only."""
-    looks = list(looks)
-    moving = [look for look in looks if PREVIOUS in look.neighbors and look.motion is not None]
-    found = _few("color", looks, _usable_color, _why_no_color, "", 0.0)
-    depth = _few("depth", moving or looks, _usable_depth, _why_no_depth, "surface", _LEAST_DEPTH)
-    motion = _few("motion", moving, _usable_motion, _why_no_motion, "vector", _LEAST_MOTION)
-    if any(one.kind == FAULT for one in depth):  # vectors of sky are compared with nothing anyway
-        return found + depth
-    return found + depth + motion
-
-
-def _few(about: str, looks: list[Look], usable, why, what: str, least: float) -> list[Finding]:
-    shares = np.array([np.mean(usable(look)) if len(look.px) else 0.0 for look in looks])
-    total = sum(len(look.px) for look in looks)
-    count = sum(share * len(look.px) for share, look in zip(shares, looks, strict=True))
-    if not looks:
-        return []
-    empty = [look.file for look, share in zip(looks, shares, strict=True) if share == 0]
-    if not count or count < min(FEWEST, 0.5 * total) or count < least * total:
-        number = "no pixel has" if not count else f"only {count / total:.1%} of the pixels have"
-        return [finding(f"{about}: nothing usable", {"usable": count / total}, pixels=number, why=why(looks))]
-    if empty and what:
-        files = ", ".join(empty[:_MOST_NAMED]) + (", …" if len(empty) > _MOST_NAMED else "")
-        return [finding(f"{about}: nothing usable in some frames", {"files": empty}, files=files)]
-    return []
-
-
-def _usable_color(look: Look) -> np.ndarray:
-    return np.full(len(look.px), look.bad.color < np.prod(look.size))
-
-
-def _usable_depth(look: Look) -> np.ndarray:
-    return look.solid & (np.abs(look.depth) >= _LEAST_NORMAL)
-
-
-def _usable_motion(look: Look) -> np.ndarray:
-    surface = _usable_depth(look)
-    usable = np.asarray(np.isfinite(_motion(look)).all(-1))
-    return usable[surface] if surface.any() else np.ones(1, bool)
-
-
-def _motion(look: Look) -> np.ndarray:
-    assert look.motion is not None  # the caller chose these
-    return look.motion
-
-
-def _why_no_color(looks: list[Look]) -> str:
-    return "all are NaN or infinite"
-
-
-def _why_no_depth(looks: list[Look]) -> str:
-    depth = np.concatenate([look.depth for look in looks])
-    if np.mean((depth > _BITS[0]) & (depth <= _BITS[1])) > 0.5:
-        return "the numbers are the bits of 32-bit floats, read as integers"
-    nothing, zero = np.isnan(depth), depth == 0
-    tiny = ~zero & (np.abs(depth) < _LEAST_NORMAL)
-    sky = ~(nothing | zero | tiny) & ~np.concatenate([look.solid for look in looks])
-    return _shares({"NaN": nothing, "zero": zero, "denormal": tiny, "sky": sky})
-
-
-def _why_no_motion(looks: list[Look]) -> str:
-    bad = np.sum([(look.bad.motion, look.bad.long) for look in looks], 0) / sum(np.prod(look.size) for look in looks)
-    rest = float(np.mean([np.isnan(_motion(look)).any(-1).mean() for look in looks])) - bad.sum()
-    named = {"NaN or infinite": bad[0], "longer than the image's diagonal": bad[1], "one value that leads out": rest}
-    return ", ".join(f"{share:.0%} are {name}" for name, share in named.items() if share > 0.005)
-
-
-def _shares(kinds: dict[str, np.ndarray]) -> str:
-    named = [(name, float(where.mean())) for name, where in kinds.items() if where.any()]
-    if len(named) == 1:
-        return f"all are {named[0][0]}"
-    return ", ".join(f"{share:.0%} are {name}" for name, share in named)
+def log_score(residual: np.ndarray, coarsest: float, finest: float) -> np.ndarray:
+    """Return the score of residuals (pixels): 1 up to `finest`, 0 from `coarsest` on, logarithmic between; 0 for
+    NaN."""
+    with np.errstate(divide="ignore", invalid="ignore"):
+        score = np.log(coarsest / np.maximum(residual, finest)) / np.log(coarsest / finest)
+    return np.nan_to_num(np.clip(score, 0, 1))

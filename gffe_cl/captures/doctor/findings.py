@@ -1,281 +1,521 @@
-"""Findings of the doctor: the table of all that it can report, with sentences and repairs."""
+"""Findings of the doctor. Each kind is a dataclass; its sentence is made once, by `str`, and no program reads it."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
-from dataclasses import dataclass, field
+from dataclasses import asdict, dataclass, field, replace
+from typing import Any, ClassVar
 
-from gffe_cl.captures.doctor.hypotheses.camera_jitter import OTHERS
+import numpy as np
+
 from gffe_cl.engine.core.errors import printable
+from gffe_cl.engine.frame.conventions import DIRECTIONS
+from gffe_cl.engine.frame.frame_format import SCALED_DEPTHS, VERTICALS, FrameFormat
+from gffe_cl.engine.frame.rendered_frame import BadPixels
 
-FAULT, WARNING, NOTE, UNKNOWN = "fault", "warning", "note", "cannot tell"
-DISPLAY_VALUES, BOTTOM_UP, RANGE_MISREAD, LOGARITHMIC = "display values", "bottom-up", "range", "logarithmic"
-NEVER_WRITTEN, UNEXPLAINED, NO_LAW = "never written", "unexplained", "no known law"
-DILATED, INTERFACE, REPEATED = "dilated", "user interface", "repeated"
-TWICE = "recorded twice"
-JITTER, NO_JITTER = "jitter not removed", "jitter missing"
-OTHER_FRAME = "one frame late", "one frame early"  # buffers, and cameras
+FAULT, NOTE, UNKNOWN = "fault", "note", "cannot tell"
 _MOST_NAMED = 12
 
 
-@dataclass
+@dataclass(frozen=True)
 class Finding:
-    """One finding. `kind`: fault (breaks results), warning (costs more than 1 dB, which the sentence says), note (hurts
-    little), or undecidable; `about`: motion, depth, camera,
-    frames or color; `name`: short; `sentence`: the fault in words; `fix`: the repair by `gffe check --fix`, "" if none;
-    `change`: the correction of the capture's own description, if possible; `places`: examples by name, each a frame
-    and a pixel (x, y) of its rendered image."""
+    """One finding.
 
-    kind: str
-    about: str
-    name: str
-    sentence: str
-    fix: str = ""
-    figures: dict = field(default_factory=dict)
-    change: str = ""
-    places: dict[str, tuple[int, int, int]] = field(default_factory=dict)
+    `name`: stable name in the JSON; `kind`: FAULT (breaks results), NOTE (hurts little) or UNKNOWN; `about`: "color",
+    "depth", "motion", "camera" or "frames". `fields` are those of a `FrameFormat`, `camera_keys` those of a found
+    format's cameras, and `offsets` its frame offsets by buffer, with which the frames are as the pipeline expects them.
+    """
+
+    name: ClassVar[str]
+    kind: ClassVar[str] = FAULT
+    about: ClassVar[str] = "frames"
 
     @property
-    def id(self) -> str:
-        """Stable name for `--only` and `--except`: `motion-y-flipped`."""
-        return finding_id(self.about, self.name)
+    def fields(self) -> dict[str, Any]:
+        return {}
 
     @property
-    def is_of_jitter(self) -> bool:
-        """Whether jitter of cameras or motion vectors is wrong."""
-        return self.name.startswith("jitter ")
+    def camera_keys(self) -> dict[str, Any]:
+        return {}
+
+    @property
+    def offsets(self) -> dict[str, int]:
+        return {}
+
+    @property
+    def is_a_change(self) -> bool:
+        """Whether a format to paste undoes it."""
+        return bool(self.fields or self.camera_keys or self.offsets)
+
+    @property
+    def places(self) -> dict[str, tuple[int, int, int]]:
+        """Examples by name: a frame and a pixel (x, y) of its rendered image."""
+        return {}
+
+    def within(self, declared: FrameFormat) -> Finding:
+        """Return this finding about frames that were converted from `declared`, so that its fields replace those."""
+        return self
+
+    @property
+    def remedy(self) -> str:
+        """The change alone: fields and keys with their values."""
+        return _shown(self.fields | self.camera_keys | {f"{k} frame_offset": n for k, n in self.offsets.items()})
+
+    def words(self) -> str:
+        """Return the sentence without the buffer that it is about."""
+        raise NotImplementedError
 
     def __str__(self) -> str:
-        change = f"; in the capture's sequence.json, {self.change}" if self.change else ""
-        return printable(f"{self.about}: {self.sentence}{change}")
+        return printable(f"{self.about}: {self.words()}")
+
+    def as_json(self) -> dict[str, Any]:
+        figures = {key: value for key, value in asdict(self).items() if key != "found"}
+        made = {"id": self.name, "kind": self.kind, "about": self.about, "sentence": str(self), "figures": figures}
+        return made | {"fields": self.fields, "cameras": self.camera_keys, "frame_offset": self.offsets}
 
 
-def finding_id(about: str, name: str) -> str:
-    return f"{about} {name}".lower().replace(" ", "-")
+def _shown(fields: dict[str, Any]) -> str:
+    return ", ".join(f"{name}={_value(value)}" for name, value in fields.items())
 
 
-_CHANGES_OF_JITTER = [change for change in OTHERS.values() if change != "absent"]
-_LATE = "one frame late: each frame has that of the frame before it"
-_EARLY = "one frame early: each frame has that of the frame after it"
-_AFTER = "is taken from the frame after; the last frame, whose own one was not recorded, is left out"
-_BEFORE = "is taken from the frame before; the first frame is left out"
-# For each kind of finding and its repair ("" for none): sentences by buffer and name, with places for values. What
-# follows a slash tells wordings of one finding apart.
-_TABLE: dict[tuple[str, str], dict[str, str]] = {
-    (FAULT, "colors are made linear"): {
-        "color: display values": "colors are display values (sRGB), not linear: {share:.0%} of {telling}"
-        " antialiased silhouettes are evidence of it",
-    },
-    (NOTE, "colors are made linear"): {
-        "color: display values/perhaps": "colors may be display values (sRGB): {share:.0%} of {telling} antialiased"
-        " silhouettes are evidence of it",
-    },
-    (FAULT, "rows are turned upside down"): {
-        f"{about}: bottom-up": f"rows of the {about} are stored from the bottom up"
-        for about in ("color", "depth", "motion")
-    },
-    (FAULT, f"color {_AFTER}"): {"color: one frame late": f"color is {_LATE}"},
-    (FAULT, f"color {_BEFORE}"): {"color: one frame early": f"color is {_EARLY}"},
-    (FAULT, f"depth {_AFTER}"): {"depth: one frame late": f"depth is {_LATE}"},
-    (FAULT, f"depth {_BEFORE}"): {"depth: one frame early": f"depth is {_EARLY}"},
-    (FAULT, f"camera {_AFTER}"): {"camera: one frame late": f"cameras are {_LATE}"},
-    (FAULT, f"camera {_BEFORE}"): {"camera: one frame early": f"cameras are {_EARLY}"},
-    (FAULT, "motion vectors are converted"): {
-        "motion: negated": "motion vectors are negated: they point from the previous position to here (current −"
-        " previous)",
-        "motion: y flipped": "the y of motion vectors is flipped: they count upwards",
-        "motion: x flipped": "the x of motion vectors is flipped: they count leftwards",
-        "motion: x and y swapped": "x and y of motion vectors are swapped",
-        "motion: in UV": "motion vectors are in UV (shares of the image), not in pixels",
-        "motion: in NDC": "motion vectors are in normalized device coordinates (−1 … 1), not in pixels",
-        "motion: twice too long": "motion vectors are twice too long",
-        "motion: half as long as they are": "motion vectors are half as long as the motion is",
-        "motion: to the next frame": "motion vectors point to the next frame, not to the previous one",
-        "motion: one frame late": "motion vectors are one frame late: each frame holds those of the frame before it",
-        "motion: one frame early": "motion vectors are one frame early: each frame holds those of the frame after it",
-        "motion: without the camera": "motion vectors contain only the movement of objects: the camera's part is"
-        " missing",
-        "motion: zero": "motion vectors are zero everywhere although the camera moves",
-    },
-    (FAULT, "a constant per frame is taken off"): {
-        "motion: jitter not removed": "motion vectors are off by another part of a pixel in every frame: camera"
-        " jitter is not removed",
-        "camera: jitter missing": "the cameras lack the jitter that motion vectors and colors have",
-    },
-    (FAULT, "the cameras' jitter is added"): {
-        "motion: jitter missing": "motion vectors lack the jitter that cameras and colors have",
-        **{
-            f"motion: jitter {change}": f"motion vectors have jitter {change}, compared with that of cameras and colors"
-            for change in _CHANGES_OF_JITTER
-        },
-    },
-    (FAULT, "jitter is taken off cameras and vectors"): {
-        "camera: jitter not removed/color": "cameras and motion vectors are jittered, and color is not: it was"
-        " antialiased over time (if depth is jittered, its jitter belongs into RenderedFrame.geometry_jitter)",
-    },
-    (FAULT, "principal points are moved"): {
-        "camera: jitter not removed": "the cameras are jittered, but neither motion vectors nor colors are",
-        **{
-            f"camera: jitter {change}": f"the cameras have jitter {change}, compared with that of vectors and colors"
-            for change in _CHANGES_OF_JITTER
-        },
-    },
-    (FAULT, "depths are made linear"): {
-        "depth: device": "depth is device depth, not linear: near {near:.4g}, far {far}",
-        "depth: reversed": "depth is reversed device depth, not linear: near {near:.4g}, far {far}",
-        "depth: logarithmic": "depth is the logarithm of {law}, not {expected}{planes}",
-    },
-    (FAULT, "depths are converted to linear again"): {
-        "depth: range": "depth from 0 … 1 was taken for −1 … 1 when it was made linear (a buffer of OpenGL needs 2d − 1"
-        " first)",
-        "depth: range/OpenGL": "depth was taken for a buffer of OpenGL from 0 … 1 (2d − 1) when it was made linear,"
-        " which it is not",
-    },
-    (FAULT, "bits are read as floats"): {
-        "depth: bits of floats": "the numbers are the {bits}, read as integers (expected an array of floats)",
-    },
-    (FAULT, "depths are divided by their rays' lengths"): {
-        "depth: along rays": "depth is the distance along rays, not along the view axis{units}",
-    },
-    (FAULT, "depths change their sign"): {"depth: negative": "depths are negative"},
-    (FAULT, "depths or positions are scaled"): {
-        "depth: units": "depths and camera positions have different units: {unit:.4g} of the cameras' is one of the"
-        " depths'",
-        "depth: units/metric": "{first} are in {unit}, {second} in meters",
-    },
-    (FAULT, "matrices are converted"): {
-        "camera: inverted": "camera matrices are inverted: they are view to world",
-        "camera: rotation transposed": "the rotations of the camera matrices are transposed",
-        "camera: position instead of translation": "camera matrices hold the camera's position where the translation"
-        " should be",
-        "camera: OpenGL axes": "camera axes are OpenGL's (x right, y up, z backward), not x right, y down, z forward",
-        "camera: y up": "camera axes are Direct3D's (x right, y up, z forward), not x right, y down, z forward",
-        "camera: z backward": "camera axes are left-handed (x right, y down, z backward), not x right, y down, z"
-        " forward",
-        "camera: x left": "camera axes are left-handed (x left, y down, z forward), not x right, y down, z forward",
-        "camera: axes": "camera axes are {axes}, not x right, y down, z forward",
-    },
-    (FAULT, "focal lengths are divided"): {
-        "camera: field of view": "the field of view is off: focal lengths are {percent:.1f}% too {long}",
-    },
-    (FAULT, "matrices are transposed"): {
-        "camera: transposed": "camera matrices are transposed: they are for row vectors, the translation is in the last"
-        " row",
-    },
-    (FAULT, "matrices are divided by it"): {"camera: scaled": "camera matrices hold a scale of {scale:.4g}"},
-    (FAULT, "frames change places"): {"frames: out of order": "frames are out of order: {frames}"},
-    (FAULT, "they are left out"): {
-        "frames: recorded twice": "{frames_are} the same to the bit as the frame before, although vectors move",
-    },
-    (FAULT, "the frame is marked as a reset"): {
-        "frames: cut": "cut at frame {frame} ({file}): it does not follow the frame before, and is no reset",
-        "frames: gap": "gap before frame {frame} ({file}): it shows what the frame before shows, but its vectors do not"
-        " lead there{length}{doubt}",
-    },
-    (FAULT, ""): {
-        "color: repeated": "{frames_have} the color of the frame before, to the bit, although vectors move",
-        "motion: jitter differs": "motion vectors and cameras differ by another part of a pixel in every frame:"
-        " jitter is in one of them alone, and colors do not tell which of them is right",
-        "camera: jitter differs": "motion vectors and cameras differ by another part of a pixel in every frame:"
-        " jitter is in one of them alone, and colors do not tell which of them is right",
-        "camera: jitter differs/known": "the jitter of motion vectors is {change}, compared with that of the cameras;"
-        " {colors}",
-        "depth: no known law": 'no known law explains it (the nearest, "{nearest}", leaves {share:.0%} and'
-        " {pixels:.2g} px)",
-        "frames: unexplained": "motion vectors do not fit depth and cameras, and none of the known faults explains it",
-        "frames: nothing usable": "no pixel of the frames that were compared has a usable depth and a usable motion"
-        " vector",
-        **{
-            f"{about}: nothing usable": f"{{pixels}} a usable {about} ({{why}}): nothing can be compared"
-            for about in ("color", "depth", "motion")
-        },
-    },
-    (WARNING, ""): {
-        "color: user interface": "user interface in the color: {share:.1%} of the pixels stay in place although vectors"
-        " move them: warped with the scene it costs 2 to 3 dB, most of which `--ui-detection on` gets back (better:"
-        " give color without it and the interface as Overlays.ui, or mark it in Overlays.fixed_mask)",
-    },
-    (NOTE, "sky gets the camera's motion"): {
-        "motion: sky without motion": "the sky has no motion although the camera turns: harmless, it is taken from the"
-        " camera",
-    },
-    (NOTE, ""): {
-        "frames: of the reader": "{note}",
-        "frames: bad pixels": "{counts}; first: {first}",
-        "frames: reset": "{frames_are}: what leads across is left out",
-        "frames: late": "frame {frame} ({file}) comes {intervals:.3g} intervals after the frame before: if one is"
-        " missing, its vectors lead there, and it must be a reset",
-        "motion: quantized": "vectors are quantized in steps of {grid}, {x} distinct values in x and {y} in y{code}"
-        "{added}: slow objects shake a little",
-        "motion: never written": "{share} of the motion vectors {what}{value}: they count as unknown",
-        "motion: dilated": "dilated: {share:.0%} of the pixels beside a nearer surface have its vector (describe that"
-        " by FrameFormat.motion_dilated, which undoes it)",
-        "motion: cut off": "{axes}, the largest number, and depth and cameras say that most of these are longer: they"
-        " were cut off (expected a larger range)",
-        "depth: cut off": "{share:.0%} of the depths are {limit:.6g}, the largest number, and vectors say that most of"
-        ' these are farther: what is farther is taken for a wall there (expected "sky_from": {limit:.6g} for sky,'
-        " or a larger range)",
-        "depth: cut off/near": "{share:.0%} of the depths are {limit:.6g}, the smallest number, and vectors say that"
-        " most of these are nearer: what is nearer is taken to be there",
-        "depth: half floats": "depth went through half floats: it is off by up to 1/2048 of itself",
-        "depth: jittered": "jittered against color: its edges move by {size:.2g} px (standard deviation) from frame to"
-        " frame, those of color do not (color was antialiased over time: the jitter belongs {where}"
-        " RenderedFrame.geometry_jitter)",
-        "color: 8 bits": "colors have 8 bits: gradients show bands",
-        "color: 8 bits linear": "colors are 8-bit numbers that are read as linear light; such files usually hold"
-        " display"
-        ' values (of a gffe-folder expected "encoding": "srgb")',
-        **{
-            f"{about}: repeated": f"repeated: {{width}}×{{height}} different pixels of {words} fill {{all}} (give"
-            " them in the size they were rendered in, by geometry_size of a FrameFormat or a RenderedFrame: about 0.8"
-            " dB)"
-            for about, words in (("depth", "depth"), ("motion", "motion vectors"))
-        },
-        **{
-            f"{about}: nothing usable in some frames": f"no pixel of {{files}} has a usable {about}"
-            for about in ("depth", "motion")
-        },
-    },
-    (UNKNOWN, ""): {
-        "frames: single frames": "no rendered frame of 8 pixels or more has one before it",
-        "frames: upside down": "which way up the picture is: {instead} would explain the buffers as well, as a mirror"
-        " image",
-        "frames: misfit at the end": "why frame {frame} ({file}) does not follow the frame before: a frame may be"
-        " missing, or vectors or cameras are one frame {when}",
-        "frames: of another frame": "a buffer fits better as that of another frame, but which one is open: {either}",
-        "frames: of another frame/vectors": "{buffer}, or motion vectors are {when}: colors do not tell which",
-        "color: of another frame": "{frames_have} the color of the frame before, to the bit, although vectors move,"
-        " or all colors are those of another frame",
-        "camera: still camera": "the camera stands still: cameras and depth cannot be checked, and motion only on"
-        " movers",
-        "depth: rotation only": "the camera only turns: depth and the cameras' positions cannot be checked",
-        "depth: jittered/unclear": "whether color is jittered as depth is: too few clear edges",
-    },
-}
-_ALWAYS_FIXED = "camera: transposed", "camera: scaled"  # without that nothing can be opened
-ENTRIES = {name: (kind, fix, sentence) for (kind, fix), group in _TABLE.items() for name, sentence in group.items()}
-FIXABLE = list(
-    dict.fromkeys(
-        finding_id(*name.partition("/")[0].split(": "))
-        for name, (_, fix, _) in ENTRIES.items()
-        if fix and name not in _ALWAYS_FIXED
-    )
-)
+def _value(value: Any) -> str:
+    if isinstance(value, tuple):
+        return f"({', '.join(_value(one) for one in value)})"
+    return f'"{value}"' if isinstance(value, str) else f"{value:.6g}" if isinstance(value, float) else str(value)
 
 
-def finding(entry: str, figures: dict | None = None, **values) -> Finding:
-    """Return the finding of that `entry` of the table, such as "motion: y flipped", with `values` in its sentence."""
-    kind, fix, sentence = ENTRIES[entry]
-    about, name = entry.partition("/")[0].split(": ")
-    return Finding(kind, about, name, sentence.format(**values), fix, figures or {})
-
-
-def listed(names: Iterable) -> str:
-    """Return `names` with commas, the first twelve of them."""
-    names = [str(name) for name in names]
-    return ", ".join(names[:_MOST_NAMED]) + (" …" if len(names) > _MOST_NAMED else "")
-
-
-def frames_in_words(numbers: list[int], one: str, many: str) -> str:
+def frames_in_words(numbers: tuple[int, ...], one: str, many: str) -> str:
     """Return "frame 3 is" or "frames 3, 4 are", with the words for one or many of them."""
-    return f"frames {listed(numbers)} {many}" if len(numbers) > 1 else f"frame {numbers[0]} {one}"
+    named = ", ".join(map(str, numbers[:_MOST_NAMED])) + (" …" if len(numbers) > _MOST_NAMED else "")
+    return f"frames {named} {many}" if len(numbers) > 1 else f"frame {named} {one}"
+
+
+# ---- facts of one frame --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class NothingUsable(Finding):
+    """Too few values of a buffer can be compared: `share` of the pixels, because `why`."""
+
+    name = "nothing-usable"
+    buffer: str
+    share: float
+    why: str
+
+    @property
+    def about(self) -> str:
+        return self.buffer
+
+    def words(self) -> str:
+        return f"{self.share:.1%} of the pixels have a usable value ({self.why}): nothing can be compared"
+
+
+@dataclass(frozen=True)
+class InvalidPixels(Finding):
+    """Numbers that no pixel can have; `found`: the first ones by kind."""
+
+    name, kind = "bad-pixels", NOTE
+    counts: BadPixels
+    found: dict[str, tuple[str, int, int, int]] = field(default_factory=dict)
+
+    @property
+    def places(self) -> dict[str, tuple[int, int, int]]:
+        return {what: (frame, x, y) for what, (_, frame, x, y) in self.found.items()}
+
+    def words(self) -> str:
+        first = "; ".join(f"{what} in {file} at {x}, {y}" for what, (file, _, x, y) in self.found.items())
+        return f"{self.counts}; first: {first}"
+
+
+@dataclass(frozen=True)
+class NeverWritten(Finding):
+    """Vectors that were never written: `share` of the pixels; `value`: the stored number of both components."""
+
+    name, kind, about = "motion-never-written", NOTE, "motion"
+    share: float
+    value: float | None
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        return {} if self.value is None else {"motion_invalid": self.value}
+
+    def within(self, declared: FrameFormat) -> Finding:
+        plain = replace(declared, color_size=None, geometry_size=None, motion_type="float32") == FrameFormat()
+        return self if plain else replace(self, value=None)
+
+    def words(self) -> str:
+        what = f"; {_shown(self.fields)}" if self.fields else ""
+        return f"{self.share:.2g} of the vectors were never written, they lead out of the image{what}"
+
+
+@dataclass(frozen=True)
+class DisplayValues(Finding):
+    """Colors are display values: by `share` of `telling` silhouettes."""
+
+    name, about = "color-encoding", "color"
+    share: float
+    telling: int
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        return {"color_encoding": "srgb"}
+
+    def words(self) -> str:
+        return f"{_shown(self.fields)}, as {self.share:.0%} of {self.telling} antialiased silhouettes mix sRGB values"
+
+
+@dataclass(frozen=True)
+class ColorUpsideDown(Finding):
+    """Rows of the color run the other way than those of depth."""
+
+    name, about = "color-rows", "color"
+
+    def words(self) -> str:
+        return "its rows run the other way than those of depth: one of both is upside down"
+
+
+@dataclass(frozen=True)
+class Quantized(Finding):
+    """Vectors are multiples of `step` pixels."""
+
+    name, kind, about = "motion-quantized", NOTE, "motion"
+    step: float
+
+    def words(self) -> str:
+        return f"vectors are quantized in steps of {self.step:.3g} px: slow objects shake a little"
+
+
+@dataclass(frozen=True)
+class FewBits(Finding):
+    """Depth or color of few bits."""
+
+    name, kind = "few-bits", NOTE
+    buffer: str
+
+    @property
+    def about(self) -> str:
+        return self.buffer
+
+    def words(self) -> str:
+        half = "half floats, off by up to 1/2048 of itself"
+        return half if self.buffer == "depth" else "8 bits, gradients show bands"
+
+
+@dataclass(frozen=True)
+class RepeatedPixels(Finding):
+    """A buffer was rendered in the size `width`, `height`, and its pixels repeated."""
+
+    name, kind = "repeated-pixels", NOTE
+    buffer: str
+    width: int
+    height: int
+
+    @property
+    def about(self) -> str:
+        return self.buffer
+
+    def words(self) -> str:
+        return (
+            f"{self.width}×{self.height} different pixels are repeated (give them in the size they were"
+            " rendered in, by geometry_size: about 0.8 dB)"
+        )
+
+
+@dataclass(frozen=True)
+class Dilated(Finding):
+    """Pixels beside a nearer surface have its vector: `share` of them."""
+
+    name, kind, about = "motion-dilated", NOTE, "motion"
+    share: float
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        return {"motion_dilated": True}
+
+    def words(self) -> str:
+        return f"{_shown(self.fields)}, as {self.share:.0%} of the pixels beside a nearer surface have its vector"
+
+
+# ---- changes of conventions ----------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class FormatChange(Finding):
+    """Fields of `FrameFormat` have other values than the frames were read with; none if no description can say it."""
+
+    change: str
+    changed: dict[str, Any]
+    why: str = ""
+
+    @property
+    def name(self) -> str:
+        return self.change.replace("_", "-")
+
+    @property
+    def about(self) -> str:
+        return self.change.partition("_")[0] if self.change != "camera_motion" else "motion"
+
+    @property
+    def fields(self) -> dict[str, Any]:
+        return self.changed
+
+    def within(self, declared: FrameFormat) -> Finding:
+        return replace(self, changed=_composed(declared, self.changed))
+
+    def words(self) -> str:
+        what = _shown(self.changed) or f"another {self.change} than its format says"
+        return f"{what}{self.why}"
+
+
+_TWO = {"motion_direction": tuple(DIRECTIONS), "motion_y": VERTICALS, "rows": VERTICALS}
+_UNITS = {("uv", 0.5): "ndc", ("ndc", 2.0): "uv"}  # described unit and a factor that was found: the right one
+
+
+def _composed(declared: FrameFormat, fields: dict[str, Any]) -> dict[str, Any]:
+    """Return the fields to replace in `declared`, by which frames were converted before `fields` were found; none if
+    there are no such ones."""
+    name, value = next(iter(fields.items()))
+    given = getattr(declared, name)
+    if name in _TWO:
+        return {name: _TWO[name][given == _TWO[name][0]]}
+    if name == "motion_scale":
+        if unit := _UNITS.get((declared.motion_unit, value[0])):
+            return {"motion_unit": unit}
+        made = {name: tuple(a * b for a, b in zip(given, value, strict=True))}
+        offset = tuple(a * b for a, b in zip(declared.motion_offset, value, strict=True))
+        return made | ({"motion_offset": offset} if any(offset) else {})
+    if name == "depth_scale":
+        if declared.depth in SCALED_DEPTHS:
+            return {name: short(given * value)}
+        planes = {plane: short(getattr(declared, plane) * value) for plane in ("near_z", "far_z")}
+        return planes if declared.near_z else {}
+    plain = FrameFormat()
+    related = {"depth": ("depth", "near_z", "far_z", "depth_range", "depth_scale")}.get(name, tuple(fields))
+    return fields if all(getattr(declared, one) == getattr(plain, one) for one in related) else {}
+
+
+@dataclass(frozen=True)
+class MotionToNext(Finding):
+    """Vectors lead to the next frame."""
+
+    name, about = "motion-to-next", "motion"
+
+    def words(self) -> str:
+        return (
+            "vectors lead to the next frame (expected those to the previous one: no format converts them, as"
+            " each belongs to another pixel)"
+        )
+
+
+@dataclass(frozen=True)
+class CameraKey(Finding):
+    """Cameras have another convention: `key` and `value` in the cameras of a found format."""
+
+    name, about = "camera", "camera"
+    key: str
+    value: Any
+
+    @property
+    def camera_keys(self) -> dict[str, Any]:
+        return {self.key: self.value}
+
+    def words(self) -> str:
+        words = {
+            "convention": "the axes of its view are other ones",
+            "matrix": "its matrices are inverted",
+            "rotation": "its rotations are transposed, as of row vectors",
+            "translation": "its matrices hold the position in place of the translation",
+        }
+        if self.key == "focal_scale":
+            factor = 1 / self.value
+            return f"focal_scale={self.value:.6g}, focal lengths are {abs(factor - 1):.1%} too {_long(factor)}"
+        return f"{_shown(self.camera_keys)}, {words[self.key]}"
+
+
+def _long(factor: float) -> str:
+    return "long" if factor > 1 else "short"
+
+
+@dataclass(frozen=True)
+class OtherFrame(Finding):
+    """A buffer of each frame is in the file of the frame `by` frames after it."""
+
+    name = "other-frame"
+    buffer: str
+    by: int
+
+    @property
+    def about(self) -> str:
+        return self.buffer
+
+    @property
+    def offsets(self) -> dict[str, int]:
+        return {self.buffer: self.by}
+
+    def words(self) -> str:
+        late = (
+            "late, each frame has that of the frame before" if self.by > 0 else "early, each has that of the next one"
+        )
+        return f"frame_offset={self.by}, it is one frame {late}"
+
+
+@dataclass(frozen=True)
+class JitterDiffers(Finding):
+    """Vectors and cameras differ by another part of a pixel in every frame: by `size` pixels."""
+
+    name, about = "jitter", "camera"
+    size: float
+
+    def words(self) -> str:
+        return (
+            f"jitter differs between cameras and vectors by {self.size:.2g} px (expected both with the jitter of"
+            " the color, or without it and RenderedFrame.geometry_jitter)"
+        )
+
+
+@dataclass(frozen=True)
+class Unexplained(Finding):
+    """Vectors do not fit depth and cameras: their median residual is `pixels`; `share` of the samples agree."""
+
+    name = "unexplained"
+    pixels: float
+    share: float
+    where: str = ""
+
+    def words(self) -> str:
+        return (
+            f"motion vectors do not fit depth and cameras{self.where} (median {self.pixels:.3g} px,"
+            f" {self.share:.0%} agree): no known change explains it"
+        )
+
+
+@dataclass(frozen=True)
+class Ambiguous(Finding):
+    """Vectors do not fit depth and cameras, and several changes have the same evidence."""
+
+    name = "ambiguous"
+    pixels: float
+    causes: tuple[str, ...]
+
+    def words(self) -> str:
+        return (
+            f"motion vectors do not fit depth and cameras (median {self.pixels:.3g} px), and nothing tells whether"
+            f" {' or '.join(self.causes)} is right"
+        )
+
+
+# ---- order of frames -----------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Cut(Finding):
+    """Frame `frame` does not follow the one before."""
+
+    name = "cut"
+    frame: int
+    file: str
+
+    def words(self) -> str:
+        return f"cut at frame {self.frame} ({self.file}): it does not follow the frame before (expected reset)"
+
+
+@dataclass(frozen=True)
+class Gap(Finding):
+    """Frame `frame` shows what the one before shows, but its vectors lead elsewhere."""
+
+    name = "gap"
+    frame: int
+    file: str
+
+    def words(self) -> str:
+        return (
+            f"gap before frame {self.frame} ({self.file}): vectors do not lead to the frame before, whose"
+            " picture continues: a frame may be missing (expected reset)"
+        )
+
+
+@dataclass(frozen=True)
+class OffInOneFrame(Finding):
+    """Depth and cameras of frame `frame` do not fit, while colors follow its vectors."""
+
+    name, about = "unexplained-frame", "camera"
+    frame: int
+    file: str
+
+    def words(self) -> str:
+        return (
+            f"frame {self.frame} ({self.file}) does not fit, while colors follow its vectors: no known change"
+            " explains it"
+        )
+
+
+@dataclass(frozen=True)
+class RepeatedFrames(Finding):
+    """Frames that equal the frame before to the bit, although vectors move."""
+
+    name = "repeated-frames"
+    frames: tuple[int, ...]
+
+    def words(self) -> str:
+        return f"{frames_in_words(self.frames, 'is', 'are')} the frame before, to the bit, although vectors move"
+
+
+@dataclass(frozen=True)
+class RepeatedColors(Finding):
+    """Frames whose color equals that of the frame before to the bit, although vectors move."""
+
+    name, about = "repeated-color", "color"
+    frames: tuple[int, ...]
+
+    def words(self) -> str:
+        has = frames_in_words(self.frames, "has", "have")
+        return f"{has} the color of the frame before, to the bit, although vectors move"
+
+
+# ---- what cannot be told -------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class NothingBefore(Finding):
+    """No frame can be compared with one before it."""
+
+    name, kind = "single-frames", UNKNOWN
+
+    def words(self) -> str:
+        return "no rendered frame of 8 pixels or more has one before it"
+
+
+@dataclass(frozen=True)
+class StillCamera(Finding):
+    """The camera does not move, or only `turns`."""
+
+    name, kind, about = "still-camera", UNKNOWN, "camera"
+    turns: bool
+
+    def words(self) -> str:
+        if self.turns:
+            return "the camera only turns: depth and the cameras' positions cannot be checked"
+        return "the camera stands still: cameras and depth cannot be checked, and motion only on movers"
+
+
+@dataclass(frozen=True)
+class MisfitAtEnd(Finding):
+    """The first or last pair of frames does not fit: a gap, or buffers of another frame in a steady movement."""
+
+    name, kind = "misfit-at-end", UNKNOWN
+    frame: int
+    file: str
+
+    def words(self) -> str:
+        return (
+            f"why frame {self.frame} ({self.file}) does not follow the frame before: a frame may be missing, or"
+            " vectors or cameras are of another frame"
+        )
+
+
+def short(value: float) -> float:
+    """Return `value` with as few digits as nearly the same has, at most four."""
+    for digits, tolerance in ((1, 3e-3), (2, 1e-3), (3, 3e-4)):
+        near = float(f"{value:.{digits - 1}e}") if np.isfinite(value) else value
+        if near == value or abs(near - value) <= tolerance * abs(value):
+            return near
+    return float(f"{value:.4g}")

@@ -4,15 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.findings import Finding, finding
-from gffe_cl.captures.doctor.hypotheses.sampling import Clip
+from gffe_cl.captures.doctor.samples import Clip
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame
 from gffe_cl.engine.opencl.program import constants
 
 _C = {name: np.float32(value) for name, value in constants("user_interface.cl").items()}
 PAIRS, LEAST, AROUND = (int(_C[name]) for name in ("PAIRS", "LEAST_MARKED", "MARKED_AROUND"))
 _LEAST_SHARE = 0.002  # of the pixels
-_RUNS = 3  # at most so many runs of frames are looked at
+_FRAMES, _RUNS = 5, 3  # first frames, and runs of three of them that are looked at
 
 
 def count_evidence(
@@ -45,14 +44,13 @@ def user_interface_mask(evidence: np.ndarray) -> np.ndarray:
     return window_sums(sure, 1) > 0
 
 
-def user_interface_notes(clip: Clip, indices: list[int], exposure: float) -> list[Finding]:
-    """Return a note if the color contains a user interface. Frames `indices` of `clip` are looked at, with those before
-    and after them. Raises GffeError if a frame cannot be read."""
-    entries = clip.rendered
-    runs = [k for k in indices if 0 < k < len(entries) - 1 and not (entries[k].reset or entries[k + 1].reset)]
+def shows_interface(clip: Clip, exposure: float = 1.0) -> bool:
+    """Return whether the first frames of `clip` have a user interface in the color. Raises GffeError if a frame cannot
+    be read."""
+    entries = clip.rendered[:_FRAMES]
+    runs = [k for k in range(1, len(entries) - 1) if not (entries[k].reset or entries[k + 1].reset)]
     shares = [interface_share([clip.read(entries[k + step]) for step in (-1, 0, 1)], exposure) for k in runs[:_RUNS]]
-    share = max(shares, default=0.0)
-    return [finding("color: user interface", {"share": share}, share=share)] if share >= _LEAST_SHARE else []
+    return max(shares, default=0.0) >= _LEAST_SHARE
 
 
 def interface_share(frames: list[RenderedFrame], exposure: float) -> float:

@@ -1,256 +1,211 @@
-"""The doctor names what is wrong and repairs it; good sequences raise no alarm."""
+"""The doctor on short exact clips: harmless properties, what it cannot tell, the command, and the quick form."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from doctor_clips import COUNT, H, W, assert_restored, clip, made_world, names, tiled, written
-from parameters import few
-from synthetic import Rect, Rects, camera
+from doctor_clips import H, W, clip, frames_of, written
+from fault_injection import HARMLESS, Kept, broken
+from mistakes import MISTAKES
+from synthetic import camera
 
-from gffe_cl.captures.doctor import Repair, examine, quick_warning
-from gffe_cl.captures.doctor.hypotheses.sampling import grid
-from gffe_cl.captures.doctor.hypotheses.transfer_function import Votes
-from gffe_cl.captures.sequence.encoding import Encoding
-from gffe_cl.lab.fault_injection import BREAKS, HARMLESS, Kept, broken
+import gffe_cl as gffe_api
+from gffe_cl.captures.doctor import FoundFormat, examine, with_format
+from gffe_cl.captures.doctor.facts import count_beside_edges, distinct_size
+from gffe_cl.captures.doctor.samples import grid
+from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.frame_format import FrameFormat
 
 
-def repaired(names_of_faults):
-    bad = broken(clip(), names_of_faults)
-    diagnosis = examine(bad)
-    return diagnosis, [frame for _, frame in Repair(bad, diagnosis).frames()]
+def names(diagnosis):
+    return [one.name for one in diagnosis.findings]
 
 
 @pytest.mark.parametrize("change", HARMLESS)
 def test_good_sequences_raise_no_alarm(change):
-    changed = broken(clip(), [change])
-    diagnosis = examine(changed)
-    assert names(diagnosis) == [] and quick_warning(changed) is None
-    assert change != "as it is" or diagnosis.findings == []
+    found = examine(broken(clip(), [change]))
+    assert not found.faults and found.verdict == "fits" and found.given.fits
 
 
-def encoded(text):
-    encoding, frames = Encoding.parse(text), clip().images
-    return Kept([encoding.frame(frame) for frame in frames])
-
-
-CODES = {
-    "half-uv": ((1.875, 0.9375, 1.0547, 0.5273), "half floats of 0.5 + 0.5 · uv at 1920×1080"),
-    "unorm16": ((0.0586, 0.0586, 0.0330, 0.0330), "16 bits of 0.5 + 0.5 · uv at 1920×1080"),
-    "rounded": ((1, 1, 1, 1), ""),
-}
-
-
-@pytest.mark.parametrize("code", CODES)
-def test_it_names_how_motion_was_quantized(code):
-    steps, name = CODES[code]
-    (note,) = examine(encoded(code)).of_kind("note")
-    found = [note.figures.get(key, np.nan) for key in ("x", "negative x", "y", "negative y")]
-    known = np.isfinite(found)
-    assert known.any() and np.allclose(np.array(found)[known], np.array(steps)[known], rtol=0.01)
-    assert note.id == "motion-quantized" and note.figures["code"] == name and not note.figures["added"]
-
-
-def test_it_names_sums_of_quantized_motion():
-    encoding, frames = Encoding.parse("rounded"), clip().images
-    sums = [replace(frame, motion=encoding.looked_up([frame.motion / 2] * 2)) for frame in frames]
-    (note,) = examine(Kept(sums)).of_kind("note")
-    assert note.id == "motion-quantized" and note.figures["added"] and "sums of two" in note.sentence
-
-
-@pytest.mark.parametrize(("part", "found"), [("half-depth", "depth-half-floats"), ("8bit-color", "color-8-bits")])
-def test_it_names_other_encodings(part, found):
-    assert [finding.id for finding in examine(encoded(part)).findings] == [found]
-
-
-def test_it_names_display_values_of_8_bits_that_are_read_as_linear():
-    frames = [replace(f, color=(np.round(255 * f.color.clip(0, 1)) / 255).astype(np.float32)) for f in clip().images]
-    (note,) = examine(Kept(frames)).findings
-    assert note.id == "color-8-bits-linear" and '"encoding": "srgb"' in note.sentence
-
-
-def test_movers_decide_nothing_where_the_exposure_changes():
-    assert names(examine(broken(clip(False, False), ["exposure fades in"]))) == []
-
-
-@pytest.mark.parametrize(("moves", "turns", "about"), [(False, True, "rotation only"), (False, False, "still camera")])
-def test_it_says_what_it_cannot_tell(moves, turns, about):
-    diagnosis = examine(clip(moves, turns))
-    assert names(diagnosis) == []
-    assert about in [finding.name for finding in diagnosis.of_kind("cannot tell")]
-
-
-NAMED = {
-    "motion negated": "motion: negated",
-    "motion in NDC": "motion: in NDC",
-    "motion to the next frame": "motion: to the next frame",
-    "motion jitter not removed": "motion: jitter not removed",
-    "motion without the camera": "motion: without the camera",
-    "depth reversed": "depth: reversed",
-    "depth along rays": "depth: along rays",
-    "camera transposed": "camera: rotation transposed",
-    "camera in centimeters": "depth: units",
-    "camera field of view": "camera: field of view",
-    "two frames swapped": "frames: out of order",
-    "depth range misread": "depth: range",
-    "color rows": "color: bottom-up",
-    "depth rows": "depth: bottom-up",
-    "motion rows": "motion: bottom-up",
-}
-
-
-SEEN = ("motion negated", "motion to the next frame", "depth reversed", "camera transposed", "two frames swapped")
-
-
-@pytest.mark.parametrize("fault", few(NAMED, *SEEN, "motion rows"))
-def test_a_fault_is_named_and_repaired(fault):
-    diagnosis, frames = repaired([fault])
-    assert names(diagnosis) == [NAMED[fault]]
-    assert_restored(frames)
-
-
-def test_a_camera_that_moves_sideways_has_no_second_fault():
-    """Its axes could be OpenGL's as well, which is no reason to change them."""
-    rng, frames, before = np.random.default_rng(5), [], None
-    rects = [Rect((0, 8, 24), (40, 14), frequency=0.35)]  # far surfaces are higher in the picture
-    for _ in range(8):
-        tint = tuple(rng.uniform(0.2, 0.8, 3))
-        rects.append(
-            Rect((rng.uniform(-4, 4), -rng.uniform(0.5, 2.5), rng.uniform(4, 9)), (1.0, 0.8), frequency=0.6, tint=tint)
-        )
-    for k in range(COUNT):
-        view = camera(W, H, (0.12 * k + 0.015 * k * k, 0, 0))
-        frames.append(Rects(rects).frame(view, k / 30, W, H, before, reset=k == 0, samples=2))
-        before = view, k / 30
-    assert not examine(Kept(frames)).faults
-    assert names(examine(broken(Kept(frames), ["motion negated"]))) == ["motion: negated"]
-
-
-PAIRS = [("motion y flipped", "camera OpenGL axes"), ("motion in UV", "depth device")]
-
-
-@pytest.mark.parametrize("pair", PAIRS, ids=" + ".join)
-def test_two_faults_at_once_are_repaired(pair):
-    diagnosis, frames = repaired(pair)
-    assert len(diagnosis.faults) == 2
-    assert_restored(frames)
-
-
-ALL_ROWS = ["color: bottom-up", "depth: bottom-up", "motion: bottom-up"]
-
-
-def test_buffers_from_the_bottom_up_are_turned_and_not_explained_by_axes():
-    """The world's y is down and there is no sky: that the mirror image fits as well is said, too."""
-    diagnosis, frames = repaired(["all rows"])
-    assert names(diagnosis) == ALL_ROWS
-    assert_restored(frames)
-    (doubt,) = diagnosis.of_kind("cannot tell")
-    assert doubt.name == "upside down" and "motion-y-flipped, camera-y-up" in doubt.sentence
-
-
-def with_y_up(kept):
-    """The same pictures of a world whose y is up."""
-    turn = np.diag([1.0, -1, -1, 1])
-    cameras = [replace(f.camera, world_to_view=f.camera.world_to_view @ turn) for f in kept.images]
-    return Kept([replace(f, camera=c) for f, c in zip(kept.images, cameras, strict=True)])
-
-
-def test_the_world_tells_rows_from_the_bottom_up_from_y_up():
-    good = with_y_up(clip())
-    for faults, expected in (
-        (["all rows"], ALL_ROWS),
-        (["all rows", "motion y flipped"], [*ALL_ROWS, "motion: y flipped"]),
-        (["motion y flipped", "camera y up"], ["motion: y flipped", "camera: y up"]),
-    ):
-        diagnosis = examine(broken(good, faults))
-        assert names(diagnosis) == expected and diagnosis.of_kind("cannot tell") == []
-
-
-@pytest.mark.long
-@pytest.mark.parametrize("fault", sorted(set(BREAKS) - {*NAMED, "color tone-mapped", "all rows"}))
-def test_every_other_fault_is_repaired(fault):
-    diagnosis, frames = repaired([fault])
-    assert len(diagnosis.faults) == 1
-    if fault == "motion zero":  # what moved by itself is lost
-        assert names(diagnosis) == ["motion: zero"]
-        return
-    assert_restored(frames)
-
-
-def test_near_and_far_are_found():
-    (fault,) = examine(broken(clip(), ["depth device"])).faults
-    assert fault.figures["near"] == pytest.approx(0.1, rel=1e-2) and not fault.figures["reversed"]
-
-
-def test_a_cut_is_found():
-    frames = list(clip().images)
-    away = [camera(W, H, (9, 1, -6), yaw=0.4 + 0.03 * k) for k in range(COUNT)]
-    before = None
-    for k in range(5, COUNT):
-        made = made_world().frame(away[k], frames[k].time, W, H, before, samples=2)
-        made.motion = np.roll(frames[k].motion, 9, axis=1) if before is None else made.motion
-        before = away[k], frames[k].time
-        frames[k] = made
-    diagnosis = examine(Kept(frames))
-    assert names(diagnosis) == ["frames: cut"] and diagnosis.faults[0].figures["frame"] == 5
-
-
-def test_bad_pixels_are_a_note_that_says_where():
-    frames = list(clip().images)
-    color = frames[4].color.copy()
-    color[7, 11] = np.nan
-    frames[4] = type(frames[4])(color, frames[4].depth, frames[4].motion, frames[4].camera, frames[4].time)
-    diagnosis = examine(Kept(frames))
-    assert names(diagnosis) == []
-    assert any("color in frame_000004.exr at 11, 7" in finding.sentence for finding in diagnosis.findings)
-
-
-def said_of_color(kept):
-    return [(finding.kind, finding.name) for finding in examine(kept).findings if finding.about == "color"]
-
-
-def test_display_values_are_told_by_silhouettes_alone():
-    """Textures that are filtered before they are made linear look like display values, silhouettes do not."""
-    assert said_of_color(tiled(1)) == []
-    antialiased = tiled(3)
-    assert said_of_color(antialiased) == []
-    assert said_of_color(broken(antialiased, ["color tone-mapped"])) == [("fault", "display values")]
-
-
-VOTES = [((90, 100, 150, 300), "display values"), ((60, 100, 150, 300), "doubtful")]
-VOTES += [((40, 100, 150, 300), ""), ((90, 100, 150, 900), ""), ((30, 30, 50, 100), "")]
-
-
-@pytest.mark.parametrize(("votes", "verdict"), VOTES)
-def test_an_inconclusive_share_is_doubtful_and_without_antialiasing_nothing_is_said(votes, verdict):
-    assert Votes(*votes).verdict == verdict
+@pytest.mark.parametrize(("moves", "turns"), [(False, True), (False, False)])
+def test_it_says_what_it_cannot_tell(moves, turns):
+    found = examine(clip(moves, turns))
+    (doubt,) = found.findings
+    assert doubt.name == "still-camera" and doubt.turns == turns and doubt.kind == "cannot tell"
 
 
 @pytest.mark.parametrize("size", [(1, 1), (7, 300), (120, 68), (1920, 1080)])
 def test_the_grid_stays_inside(size):
-    x, y = grid(size, 500)
+    x, y = grid(size, 100)
     assert len(x) and x.min() >= 0 and y.min() >= 0 and x.max() < size[0] and y.max() < size[1]
 
 
-def test_what_cannot_be_opened_keeps_its_own_message(gffe, tmp_path):
-    code, text, err = gffe("check", tmp_path / "nowhere")
-    assert code == 2 and "no such folder" in err and text == ""
+EMPTY = {
+    "depth": lambda f: replace(f, depth=np.full_like(f.depth, np.inf)),
+    "motion": lambda f: replace(f, motion=np.full_like(f.motion, np.nan)),
+    "color": lambda f: replace(f, color=np.full_like(f.color, np.nan)),
+}
+
+
+@pytest.mark.parametrize("buffer", EMPTY)
+def test_nothing_to_compare_is_a_fault(buffer):
+    found = examine(Kept([EMPTY[buffer](frame) for frame in clip().images]))
+    assert [one.buffer for one in found.faults] == [buffer] and found.verdict == "faults" and found.given is None
+
+
+def test_bad_pixels_are_a_note_that_says_where():
+    frames = list(clip().images)
+    color = np.array(frames[3].color)
+    color[5, 7] = np.nan
+    found = examine(Kept([*frames[:3], replace(frames[3], color=color), *frames[4:]]))
+    (note,) = found.findings
+    assert note.places == {"color": (3, 7, 5)} and "color in frame_000003.exr at 7, 5" in str(note)
+
+
+def test_a_camera_that_mirrors_the_picture_is_not_told_without_a_sky():
+    """A world without sky or ground: y-up cameras and rows from below with y-up vectors are the same evidence."""
+    found = examine(Kept(MISTAKES["y-up axes"].change(clip().images)))
+    (doubt,) = found.findings
+    assert doubt.name == "ambiguous" and found.found is None
+    assert 'convention="direct3d"' in doubt.causes and 'rows="up" with motion_y="up"' in doubt.causes
+
+
+def test_steady_motion_does_not_tell_late_cameras_from_a_missing_frame():
+    frames = frames_of(lambda k: camera(W, H, (0.1 * k, 0, 0)), 8)
+    late = MISTAKES["camera of the frame before"].change(frames)
+    found = examine(Kept(late))
+    assert names(found) == ["misfit-at-end"] and found.findings[0].frame == 1
+    assert gffe_api.check(late).startswith("cannot tell whether the frames fit: why frame 1")
+
+
+def test_repeated_pixels_have_their_size():
+    image = np.random.default_rng(1).random((45, 60)).astype(np.float32)
+    for ratio in (1.5, 2, 3):
+        rows, columns = (np.arange(round(n * ratio)) / ratio for n in image.shape)
+        assert distinct_size(image[rows.astype(int)][:, columns.astype(int)]) == (60, 45)
+    assert distinct_size(image) is None and distinct_size(np.zeros((45, 60), np.float32)) is None
+
+
+def test_vectors_beside_edges_are_counted():
+    depth, motion = np.full((40, 40), 10.0, np.float32), np.zeros((40, 40, 2), np.float32)
+    depth[10:30, 10:30], motion[10:30, 10:30] = 2.0, (4, 0)
+    assert count_beside_edges(depth, motion)[0] == 0
+    motion[9:31, 9:31] = (4, 0)
+    dilated, total = count_beside_edges(depth, motion)
+    assert dilated == total > 50
+
+
+def test_the_command_finds_a_format_and_import_converts_by_it(gffe, tmp_path):
+    good = written(tmp_path / "good", clip())
+    code, text, err = gffe("check", good, "--json", tmp_path / "good.json")
+    assert (code, err) == (0, "") and json.loads((tmp_path / "good.json").read_text())["verdict"] == "fits"
+    bad = written(tmp_path / "bad", broken(clip(), ["motion negated", "depth in centimeters"]))
+    found = tmp_path / "found.json"
+    code, text, _ = gffe("check", bad, "--format-out", found, "--json", tmp_path / "bad.json")
+    assert code == 1 and 'motion_direction="from_previous"' in text and "depth_scale=0.01" in text
+    document = json.loads((tmp_path / "bad.json").read_text())
+    assert document["verdict"] == "faults" and document["format"] == json.loads(found.read_text())
+    assert document["format"] == {"frame_format": {"motion_direction": "from_previous", "depth_scale": 0.01}}
+    assert [one["id"] for one in document["findings"]] == ["motion-direction", "depth-scale"]
+    assert document["residuals"]["given"]["median"] > 1 > 0.05 > document["residuals"]["read"]["median"]
+    code, _, _ = gffe("import", bad, tmp_path / "made", "--format", found)
+    assert code == 0 and gffe("check", tmp_path / "made")[0] == 0
+    for one, other in zip(open_sequence(tmp_path / "made"), open_sequence(good), strict=True):
+        assert np.array_equal(one.motion, other.motion)
+        np.testing.assert_allclose(one.depth, other.depth, rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("text", "message"),
+    [
+        ("{", "no JSON"),
+        ('{"depth": 1}', "format: unknown key 'depth' (expected frame_format, files, cameras)"),
+        ('{"cameras": {"convention": "blender"}}', "format: convention must be one of gffe, opengl, direct3d"),
+        ('{"files": {"motion": {"frame_offset": 0.5}}}', "format: motion, frame_offset"),
+        ('{"files": {"motion": {"frame_offset": 9}}}', "no rendered frame is left with these frame offsets"),
+    ],
+)
+def test_a_wrong_format_is_refused(gffe, tmp_path, text, message):
+    (tmp_path / "found.json").write_text(text)
+    code, _, error = gffe(
+        "import", written(tmp_path / "in", clip()), tmp_path / "out", "--format", tmp_path / "found.json"
+    )
+    assert code == 2 and message in " ".join(error.split())
+
+
+def test_fields_of_a_given_format_are_replaced():
+    """Frames that were read with a wrong format: the finding has the right values of its fields."""
+    declared = FrameFormat(motion_direction="from_previous", motion_y="up", motion_unit="uv", depth_scale=100)
+    frames = [replace(f, motion=f.motion * np.float32((1 / W, -1 / H)), depth=f.depth / 50) for f in clip().images]
+    said = gffe_api.check(frames, format=declared)
+    assert 'motion: motion_direction="to_previous"' in said and "depth: depth_scale=50" in said
+    assert gffe_api.check(frames, format=replace(declared, motion_direction="to_previous", depth_scale=50)) is None
+
+
+def test_frame_offsets_reset_after_frames_that_are_left_out(tmp_path):
+    frames = [replace(frame, reset=k in (0, 4)) for k, frame in enumerate(clip().images)]
+    opened = open_sequence(written(tmp_path / "in", Kept(frames)))
+    made = with_format(opened, FoundFormat(frame_offset={"depth": 1}))
+    assert [entry.time for entry in made.rendered] == [frames[k].time for k in (0, 1, 2, 4, 5, 6, 7)]
+    assert [entry.reset for entry in made.rendered] == [True, False, False, True, False, False, False]
+    assert np.array_equal(made.read(made.rendered[1]).depth, frames[2].depth)
+
+
+def test_frames_in_memory_are_examined_as_a_sequence_is(gffe, tmp_path):
+    bad = Kept(MISTAKES["from previous"].change(clip().images))
+    assert gffe_api.check(clip().images) is None and gffe_api.check([]) is None
+    said = gffe_api.check(bad.images)
+    assert said.startswith('motion: motion_direction="from_previous"; `gffe check FOLDER` tells more')
+    code, text, _ = gffe("check", written(tmp_path / "in", bad))
+    assert code == 1 and said.partition(";")[0] in text and text.count("fault ") == 1
+    alone = gffe_api.check(clip().images[:1])
+    assert alone.startswith("cannot tell whether the frames fit: no rendered frame of 8 pixels or more has one before")
 
 
 def test_a_run_warns_of_what_does_not_fit(gffe, tmp_path):
     bad = written(tmp_path / "bad", broken(clip(), ["motion negated"]))
-    code, _, err = gffe("run", bad, tmp_path / "a", "--no-scn", checked=True)
-    said = " ".join(err.split())
-    assert code == 0 and "warning: motion vectors do not fit depth and cameras (median" in said
-    assert f"`gffe check {bad}` has details" in said
-    code, _, err = gffe("run", bad, tmp_path / "b", "--no-scn", "--no-check", checked=True)
-    assert code == 0 and "do not fit" not in err
+    code, _, error = gffe("run", bad, tmp_path / "out", "--no-scn", checked=True)
+    assert code == 0 and 'motion_direction="from_previous"' in error and "`gffe check" in error
 
 
-def test_the_quick_form_warns():
-    warning = quick_warning(broken(clip(), ["motion negated"]))
-    assert warning and "do not fit depth and cameras (median" in warning
-    assert quick_warning(broken(clip(), ["camera inverted"]))
-    for buffer in ("color", "depth", "motion"):
-        assert quick_warning(broken(clip(), [f"{buffer} rows"])) == f"{buffer} is upside down against the other buffers"
-    assert "does not fit the rows" in quick_warning(broken(clip(), ["all rows"]))
+def test_what_cannot_be_opened_keeps_its_own_message(gffe, tmp_path):
+    code, _, error = gffe("check", tmp_path / "none")
+    assert code == 2 and "no such folder" in error
+
+
+def test_an_unknown_key_of_a_format_is_an_error():
+    with pytest.raises(GffeError, match="unknown field 'depht'"):
+        FoundFormat.from_json({"frame_format": {"depht": 1}})
+
+
+def with_interface():
+    """The clip with a panel and a frame over its color."""
+    frames = []
+    for frame in clip().images:
+        color = frame.color.copy()
+        color[6:26, 8:40], color[44:60, 70:112] = (0.9, 0.7, 0.1), (0.05, 0.2, 0.6)
+        frames.append(replace(frame, color=color))
+    return Kept(frames)
+
+
+def test_a_run_detects_a_user_interface(gffe, tmp_path):
+    """... unless it may not; and not where there is none."""
+    hud, plain = written(tmp_path / "hud", with_interface()), written(tmp_path / "good", clip())
+    made = {}
+    for name, folder, options in (
+        ("auto", hud, ()), ("on", hud, ("--ui-detection", "on")), ("off", hud, ("--ui-detection", "off")),
+        ("plain", plain, ()),
+    ):  # fmt: skip
+        code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options, checked=True)
+        assert (code, error) == (0, "") and ("user interface detection is on" in text) == (name == "auto")
+        sequence = open_sequence(tmp_path / name)
+        made[name] = [sequence.read_color(entry) for entry in sequence.frames if entry.kind == "extrapolated"]
+
+    def alike(one, other):
+        return all(np.array_equal(a, b) for a, b in zip(made[one], made[other], strict=True))
+
+    assert alike("auto", "on") and not alike("auto", "off")
+    code, _, error = gffe("run", hud, tmp_path / "wrong", "--ui-detection", "maybe")
+    assert code == 2 and "--ui-detection must be one of auto, on, off" in " ".join(error.split())

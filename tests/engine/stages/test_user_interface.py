@@ -5,11 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device_arrays import copy_to, of_arrays
+from fault_injection import Kept
 from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
 from gffe_cl.captures.doctor import user_interface as twin
-from gffe_cl.captures.doctor.quick import check
 from gffe_cl.captures.sequence.post_effects import user_interface, with_ui
 from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.stages.base import Board
@@ -125,13 +125,12 @@ def test_export_refuses_it(device):
         record(device, FINDS, False)
 
 
-def test_the_quick_check_and_the_doctor_say_so():
+def test_its_share_and_whether_a_clip_shows_it():
     """With the share; not of color without it, nor if it is masked."""
     made, plain = list(frames(3)), list(frames(3, change=lambda color: color))
-    said = check(made)
-    assert said.startswith("user interface in the color: ") and "--ui-detection" in said and check(plain) is None
+    assert twin.shows_interface(Kept(made)) and not twin.shows_interface(Kept(plain))
     share = twin.interface_share(made, 1.0)
-    assert f"{share:.1%}" in said and 0.5 * OPAQUE.mean() < share < (UI[..., 3] > 0).mean() + 0.05
+    assert 0.5 * OPAQUE.mean() < share < (UI[..., 3] > 0).mean() + 0.05
     masked = [replace(frame, overlays=Overlays(fixed_mask=UI[..., 3] > 0)) for frame in made]
     assert twin.interface_share(masked, 1.0) < 0.3 * share
     assert twin.interface_share([replace(made[0]), replace(made[1], motion=None), made[2]], 1.0) == 0

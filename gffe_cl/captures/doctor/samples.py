@@ -1,4 +1,4 @@
-"""Samples for the doctor: pixels of a few frames on a grid, with the images of the neighboring frames."""
+"""Samples for the doctor: pixels of a few frames on a grid, with the images of the frames beside them."""
 
 from __future__ import annotations
 
@@ -16,10 +16,10 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, wrong_geometry
 
 PREVIOUS, NEXT = -1, 1
-BUFFERS = ("color", "depth", "motion")  # whose rows may be stored from the bottom up
 _TEXTURED = 0.02  # least difference of encoded color between neighbors for a distinguishable place
 _SMALLEST = 8  # pixels: least size of an image
 _FAR = 1e9  # depths beyond this are nothing, as +inf
+_FIELDS = {"color": ("color", "contrast", "image"), "depth": ("depth", "deep")}
 
 
 class Clip(Protocol):
@@ -47,8 +47,6 @@ class Look:
     contrast : (N,) float32, how far the encoded color is from that of the pixels around
     image, deep : (H, W, 3) float, linear color of the whole frame as stored, and (H, W) its depth; None where they
         are not needed
-    camera : Camera
-    mirrored : dict, `depth`, `motion`, `color` and `contrast` at the same places of images turned upside down
     neighbors : {PREVIOUS, NEXT → Look}, as far as there are any without a reset in between
     """
 
@@ -67,7 +65,6 @@ class Look:
     bad: BadPixels
     first_bad: dict[str, tuple[int, int]] = field(default_factory=dict)
     exposure: float = 1.0
-    mirrored: dict = field(default_factory=dict, repr=False)
     neighbors: dict[int, Look] = field(default_factory=dict, repr=False)
 
     @property
@@ -80,19 +77,6 @@ class Look:
         """Mask (N,) bool of samples whose color distinguishes their place from others nearby."""
         return self.contrast > _TEXTURED
 
-    def is_long(self, motion: np.ndarray) -> np.ndarray:
-        """Return (…) bool: vectors (…, 2) as long as the diagonal of this frame, which were never written."""
-        return is_long(motion, self.size)
-
-    def camera_of(self, step: int) -> Camera:
-        return self.neighbors[step].camera
-
-
-def is_long(motion: np.ndarray, size: tuple[int, int]) -> np.ndarray:
-    """Return (…) bool: vectors (…, 2) as long as the diagonal of an image of `size`, which were never written."""
-    with np.errstate(over="ignore", invalid="ignore"):
-        return np.square(motion).sum(-1) >= np.square(size).sum()
-
 
 def encoded(color: np.ndarray, exposure: float) -> np.ndarray:
     """Return linear color in perceptual steps: (…, 3) float32, logarithmic above mid-gray."""
@@ -100,16 +84,17 @@ def encoded(color: np.ndarray, exposure: float) -> np.ndarray:
     return np.log1p(16 * np.maximum(values, 0)) / np.float32(np.log(17))
 
 
-def take_looks(clip: Clip, indices: Iterable[int], samples: int, images: set[int], exposure: float = 1.0) -> dict:
+def take_looks(
+    clip: Clip, indices: Iterable[int], samples: int, images: set[int], exposure: float = 1.0
+) -> dict[int, Look]:
     """Return {index: Look} of rendered frames; whole images are kept of those in `images`."""
     entries = clip.rendered
-    wanted = sorted(set(indices))
 
     @QUIETLY  # on threads of its own
     def look(index: int) -> Look:
         return _look(clip.read(entries[index]), index, entries[index], samples, index in images, exposure)
 
-    looks = dict(read_ahead(wanted, look, 2))
+    looks = dict(read_ahead(sorted(set(indices)), look, 2))
     if not looks:
         raise GffeError("nothing to check: no rendered frame")
     return relinked(looks)
@@ -124,34 +109,26 @@ def relinked(looks: dict[int, Look]) -> dict[int, Look]:
     return looks
 
 
-def with_rows(looks: dict[int, Look], rows: tuple[str, ...]) -> dict[int, Look]:
-    """Return `looks` at images in which the BUFFERS `rows` are turned upside down. If these are two or three, the other
-    buffers are turned, and then all images as a whole: so the samples are those of the same points."""
-    if not rows:
-        return looks
-    if len(rows) > 1:
-        others = with_rows(looks, tuple(name for name in BUFFERS if name not in rows))
-        return relinked({index: _upside_down(look) for index, look in others.items()})
-    fields = ("color", "contrast") if rows == ("color",) else rows
-    return relinked({
-        index: replace(
-            look,
-            neighbors={},
-            image=_turned(look.image) if "color" in rows else look.image,
-            deep=_turned(look.deep) if "depth" in rows else look.deep,
-            **{name: look.mirrored[name] for name in fields},
-        )
-        for index, look in looks.items()
-    })  # fmt: skip
+def turned(looks: dict[int, Look]) -> dict[int, Look]:
+    """Return `looks` at images that are turned upside down, with the same samples."""
+    return relinked({k: _upside_down(look) for k, look in looks.items()})
 
 
 def _upside_down(look: Look) -> Look:
     px = look.px * (1, -1) + (0, look.size[1])
-    return replace(look, neighbors={}, px=px, image=_turned(look.image), deep=_turned(look.deep))
+    image, deep = (None if array is None else array[::-1] for array in (look.image, look.deep))
+    return replace(look, neighbors={}, px=px, image=image, deep=deep)
 
 
-def _turned(image: np.ndarray | None) -> np.ndarray | None:
-    return None if image is None else image[::-1]
+def of_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, Look]:
+    """Return `looks` with the `buffer` ("color", "depth", "motion" or "camera") of the look `by` after each; those that
+    have none are left out."""
+    made = {}
+    for k, look in looks.items():
+        other = look.neighbors.get(by)
+        if other is not None and len(other.px) == len(look.px):
+            made[k] = replace(look, neighbors={}, **{n: getattr(other, n) for n in _FIELDS.get(buffer, (buffer,))})
+    return relinked(made)
 
 
 def grid(size: tuple[int, int], samples: int) -> tuple[np.ndarray, np.ndarray]:
@@ -171,24 +148,20 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
     height, width = depth.shape
     motion = None if frame.motion is None else np.asarray(frame.motion)
     x, y = grid((width, height), samples)
-
-    def taken(y: np.ndarray) -> dict:
-        around = []
-        for dx, dy in ((0, 0), (2, 0), (-2, 0), (0, 2), (0, -2)):
-            around.append(encoded(color[np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)], exposure))
-        return {
-            "depth": depth[y, x].astype(np.float64),
-            "motion": None if motion is None else motion[y, x].astype(np.float64),
-            "color": around[0],
-            "contrast": np.abs(np.stack(around[1:]) - around[0]).mean((0, 2)),
-        }
-
+    around = [
+        encoded(color[np.clip(y + dy, 0, height - 1), np.clip(x + dx, 0, width - 1)], exposure)
+        for dx, dy in ((0, 0), (2, 0), (-2, 0), (0, 2), (0, -2))
+    ]
     bad, first = _bad_pixels(frame)
     return Look(
         index=index,
         file=entry.file,
         size=(width, height),
         px=np.stack([x, y], -1) + 0.5,
+        depth=depth[y, x].astype(np.float64),
+        motion=None if motion is None else motion[y, x].astype(np.float64),
+        color=around[0],
+        contrast=np.abs(np.stack(around[1:]) - around[0]).mean((0, 2)),
         image=color if whole else None,
         deep=depth if whole else None,
         camera=frame.camera,
@@ -196,8 +169,6 @@ def _look(frame: RenderedFrame, index: int, entry: FrameEntry, samples: int, who
         bad=bad,
         first_bad=first,
         exposure=exposure,
-        mirrored=taken(height - 1 - y),
-        **taken(y),
     )
 
 

@@ -7,7 +7,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.captures.doctor.repair import static_motion
 from gffe_cl.captures.sequence import FrameEntry, Sequence
 from gffe_cl.captures.sequence.description import check_times
 from gffe_cl.captures.sequence.encoding import Encoding
@@ -20,6 +19,7 @@ NEAR, FAR = 0.1, 1000.0  # world units, of device depths
 _FOCAL_ERROR = 1.08
 _GRAIN = 0.03  # of linear colors
 _UNWRITTEN, _FEW = 65504.0, 0.002  # pixels, and the share of vectors that have this value
+_FAR = 1e9  # stands for infinity where directions are reprojected
 _JITTER = 8  # positions of the Halton sequence
 _CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
 
@@ -47,6 +47,18 @@ class Kept:
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
         return self.images[int(entry.file[6:12])]
+
+
+def static_motion(frame: RenderedFrame, other: Camera) -> np.ndarray:
+    """Return the motion (H, W, 2) float64, pixels: where everything would be seen by `other` if nothing moved, minus
+    where it is."""
+    height, width = frame.depth.shape
+    y, x = np.mgrid[:height, :width] + 0.5
+    px = np.stack([x, y], -1)
+    depth = np.asarray(frame.depth, np.float64)
+    with np.errstate(all="ignore"):
+        depth = np.where((depth > 0) & (depth < _FAR), depth, _FAR)
+        return other.project(frame.camera.unproject(px, depth))[0] - px
 
 
 def _each(change: Callable[[RenderedFrame], dict]) -> Callable:

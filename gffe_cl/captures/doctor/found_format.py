@@ -1,0 +1,172 @@
+"""Found format: what undoes the faults of a capture, as JSON to paste, and the sequence that it makes of one.
+
+{"frame_format": {fields of FrameFormat}, "files": {"motion": {"frame_offset": 1}}, "cameras": {"convention": "opengl"}}
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterable
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from gffe_cl.captures.doctor.findings import Finding
+from gffe_cl.captures.doctor.readings import VIEW_AXES, Cameras
+from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence.description import Description
+from gffe_cl.captures.sequence.engine_form import described_frame
+from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_choice, require_kind, require_positive, require_whole
+from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
+
+_BUFFERS = ("color", "depth", "motion", "camera")
+_CAMERAS = {
+    "convention": tuple(VIEW_AXES),
+    "matrix": ("world_to_view", "view_to_world"),
+    "rotation": ("as stored", "transposed"),
+    "translation": ("as stored", "position"),
+}
+_MOST_OFFSET = 16  # frames
+
+
+@dataclass(frozen=True)
+class FoundFormat:
+    """Description of a capture's buffers that replaces its own one. `frame_offset`: by buffer, or "camera", how many
+    frames after its own file that of a frame is; `cameras`: how its camera matrices are meant."""
+
+    frame_format: FrameFormat = field(default_factory=FrameFormat)
+    frame_offset: dict[str, int] = field(default_factory=dict)
+    cameras: Cameras = field(default_factory=Cameras)
+
+    @classmethod
+    def of(cls, findings: Iterable[Finding], declared: FrameFormat) -> FoundFormat:
+        """Return the format that undoes `findings` in frames that were converted from `declared`."""
+        fields, offsets, keys = {}, {}, {}
+        for one in findings:
+            fields |= one.fields
+            offsets |= one.offsets
+            keys |= one.camera_keys
+        return cls(replace(declared, **fields), offsets, Cameras(**keys))
+
+    def to_json(self) -> dict[str, Any]:
+        made: dict[str, Any] = {"frame_format": self.frame_format.to_json()}
+        if self.frame_offset:
+            made["files"] = {buffer: {"frame_offset": by} for buffer, by in self.frame_offset.items()}
+        return made | ({"cameras": self.cameras.keys()} if self.cameras.keys() else {})
+
+    @classmethod
+    def from_json(cls, given: Any) -> FoundFormat:
+        """Return the format of which `to_json` gave the JSON. Raises GffeError for anything else."""
+        document = _object(given, "format", ("frame_format", "files", "cameras"))
+        offsets = {}
+        for buffer, keys in _object(document.get("files", {}), "format: files", _BUFFERS).items():
+            by = _object(keys, f"format: {buffer}", ("frame_offset",)).get("frame_offset", 0)
+            offsets[buffer] = require_whole(by, f"format: {buffer}, frame_offset", -_MOST_OFFSET, _MOST_OFFSET)
+        keys = _object(document.get("cameras", {}), "format: cameras", (*_CAMERAS, "focal_scale"))
+        for name in keys:
+            if name == "focal_scale":
+                require_positive(keys[name], "format: focal_scale")
+            else:
+                require_choice(keys[name], _CAMERAS[name], f"format: {name}")
+        return cls(FrameFormat.from_json(document.get("frame_format", {})), offsets, Cameras(**keys))
+
+    @classmethod
+    def open(cls, path: Path) -> FoundFormat:
+        """Return the format in the JSON file `path`. Raises GffeError that names it."""
+        try:
+            return cls.from_json(json.loads(path.read_text("utf-8")))
+        except OSError as error:
+            raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
+        except (ValueError, RecursionError):
+            raise GffeError(f"{path}: no JSON (expected the file of `gffe check --format-out`)") from None
+
+
+def _object(given: Any, what: str, names: tuple[str, ...]) -> dict[str, Any]:
+    made = require_kind(given, dict, what, "an object")
+    unknown = [name for name in made if name not in names]
+    if unknown:
+        raise GffeError(f"{what}: unknown key '{unknown[0]}' (expected {', '.join(names)})")
+    return made
+
+
+def with_format(sequence: Sequence, found: FoundFormat) -> Sequence:
+    """Return `sequence` as `found` describes it, in our conventions. Frames at the ends, some of whose buffers were not
+    recorded, are left out. Raises GffeError if no rendered frame is left; reading raises it as usual."""
+    given = sequence.rendered
+    sources: dict[str, dict[str, FrameEntry]] = {}
+    rendered: list[FrameEntry] = []
+    was_left_out = False
+    for k, entry in enumerate(given):
+        at = {buffer: k + found.frame_offset.get(buffer, 0) for buffer in _BUFFERS}
+        low, high = min(at.values()), max(at.values())
+        if low < 0 or high >= len(given) or any(one.reset for one in given[low + 1 : high + 1]):
+            was_left_out = True
+            continue
+        sources[entry.file] = {buffer: given[n] for buffer, n in at.items()}
+        other = sources[entry.file]["camera"]
+        read = {"render_camera": other.render_camera, "display_camera": other.display_camera}
+        read = {name: camera and found.cameras.read(camera) for name, camera in read.items()}
+        rendered.append(replace(entry, reset=entry.reset or was_left_out or k == 0, **read))
+        was_left_out = False
+    if given and not rendered:
+        raise GffeError(f"{sequence.path}: no rendered frame is left with these frame offsets")
+    others = [
+        replace(one, display_camera=one.display_camera and found.cameras.read(one.display_camera))
+        for one in sequence.frames
+        if one.kind == "ground_truth"
+    ]
+    frames = sorted([*rendered, *others], key=lambda one: one.time)
+    size = sequence.width, sequence.height
+    description = Description(*size, sequence.fps, sequence.exposure, frames, sequence.unfinished)
+    return Sequence(sequence.path, description, _FoundPixels(sequence, found, rendered, sources))
+
+
+class _FoundPixels:
+    """Pixels of `sequence` as `found` describes them; `sources`: {file → {buffer → entry that has it}}."""
+
+    def __init__(
+        self,
+        sequence: Sequence,
+        found: FoundFormat,
+        rendered: list[FrameEntry],
+        sources: dict[str, dict[str, FrameEntry]],
+    ):
+        self._sequence, self._found, self._sources = sequence, found, sources
+        self._before = dict(zip([one.file for one in rendered[1:]], rendered, strict=False))
+        self.notes: list[str] = []
+        self.settings = None
+
+    def read(self, entry: FrameEntry, size: tuple[int, int]):
+        source = self._sources[entry.file]
+        stored = {file: self._sequence.read_stored(one) for file, one in {s.file: s for s in source.values()}.items()}
+        color, depth, motion = (stored[source[buffer].file] for buffer in ("color", "depth", "motion"))
+        frame = replace(
+            depth, color=color.color, motion=motion.motion, camera=entry.render_camera, overlays=color.overlays
+        )
+        made = self._converted(frame, None if entry.reset else self._before.get(entry.file))
+        return made.color, made.depth, made.motion, made.overlays
+
+    def _converted(self, frame: RenderedFrame, before: FrameEntry | None) -> RenderedFrame:
+        jitter = (0.0, 0.0)
+        if before is not None:
+            height, width = np.shape(frame.color)[:2]
+            rows, columns = np.shape(frame.depth)
+            jitter = jitter_in_color(before.geometry_jitter, (width, height), (columns, rows))
+        return described_frame(frame, self._found.frame_format, before and before.render_camera, jitter)
+
+    def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
+        if entry.file in self._sources:
+            return self.read(entry, size)[0]
+        color = self._sequence.read_color(entry)
+        plain = RenderedFrame(color, np.ones(color.shape[:2], np.float32), None, None, entry.time)
+        return self._converted(plain, None).color
+
+    def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
+        return self._sequence.read_channels(entry, names)
+
+    def exr_file(self, entry: FrameEntry) -> None:
+        return None

@@ -1,0 +1,143 @@
+"""Third pass: the order of frames. Cuts, gaps, frames that were recorded twice, and colors of another frame."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from gffe_cl.captures.doctor.evidence import Bench
+from gffe_cl.captures.doctor.findings import (
+    Cut,
+    Finding,
+    Gap,
+    MisfitAtEnd,
+    OffInOneFrame,
+    OtherFrame,
+    RepeatedColors,
+    RepeatedFrames,
+)
+from gffe_cl.captures.doctor.readings import Reading
+from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Clip, Look, of_other_frames, take_looks, turned
+from gffe_cl.captures.doctor.search import Search, Verdict
+
+_MOVES = 0.3  # pixels: vectors by which nothing stays as it is
+_TEXTURED, _COLORS = 0.1, 16  # share of samples that show a texture, and distinct colors, at least
+_FITTING, _LEAST = 0.5, 0.3  # share of samples that agree: of that in right pairs; in right pairs, at least
+_AGREES, _FINEST = 0.1, 0.3  # of the motion's length, and pixels: residuals that agree
+_SAME_SHOT = 0.7  # of the usual color scores
+_MOST = 12  # pairs that are looked at closely
+_GAIN, _EACH, _GOOD = 0.06, 0.6, 1.2  # sums of color scores: gain by colors of another frame; frames; good ones
+
+
+def repeated_frames(looks: dict[int, Look]) -> list[Finding]:
+    """Return the frames of `looks` that repeat the one before, as far as samples and cameras tell."""
+    whole, color = [], []
+    for index, look in looks.items():
+        before = look.neighbors.get(PREVIOUS)
+        if before is None or look.motion is None or not np.array_equal(look.color, before.color):
+            continue
+        shows = look.textured.mean() > _TEXTURED and len(np.unique(look.color, axis=0)) > _COLORS
+        if not shows or not np.nanmedian(np.linalg.norm(look.motion, axis=-1)) > _MOVES:
+            continue
+        pairs = (look.depth, before.depth), (look.motion, before.motion)
+        same = all(b is not None and np.array_equal(a, b, equal_nan=True) for a, b in pairs)
+        (whole if same and look.camera == before.camera else color).append(index)
+    made: list[Finding] = [RepeatedFrames(tuple(whole))] if whole else []
+    return made + ([RepeatedColors(tuple(color))] if color and color not in ([1], [max(looks)]) else [])
+
+
+def color_of_another_frame(search: Search, read: Verdict) -> list[Finding]:
+    """Return a fault if colors fit well, and clearly better in most frames, as those of the frame before or after."""
+    found, reading = {}, read.reading
+    for by in (NEXT, PREVIOUS):
+        other = search.bench(reading.rows, ("color", by))
+        given = Bench([look for look in search.shown(reading.rows, [one.index for one in other.looks])])
+        after, before = _colors(other, reading), _colors(given, reading)
+        known = np.isfinite(after) & np.isfinite(before)
+        gains = (after - before)[known]
+        if len(gains) > 1 and gains.mean() > _GAIN and np.mean(gains > 0) > _EACH and after[known].mean() > _GOOD:
+            found[by] = float(gains.mean())
+    return [OtherFrame("color", max(found, key=found.__getitem__))] if found else []
+
+
+def _colors(bench: Bench, reading: Reading) -> np.ndarray:
+    """Return the agreement (looks,) of colors along vectors and along depth and cameras."""
+    made = []
+    for motion in (bench.motion(reading.motion), bench.static(reading.cameras, reading.depth)):
+        score = bench.color_scores(motion, PREVIOUS)
+        made.append(bench.by_frame(score, np.isfinite(score) & bench.solid))
+    return np.sum(made, 0)
+
+
+def breaks(
+    clip: Clip, looks: dict[int, Look], reading: Reading, step: float, left_out: set[int], exposure: float, samples: int
+) -> list[Finding]:
+    """Return findings on frames that do not follow the one before them although most pairs fit `reading`. `looks`: of
+    all frames that are looked at; `step`: of quantized vectors, pixels; `left_out`: frames that have a finding."""
+    if reading.motion.camera != "included" or reading.motion.to_next:
+        return []
+    shown = of_other_frames(looks, *reading.offset) if reading.offset[1] else looks
+    fits = {k: _share(look, reading, step) for k, look in shown.items() if PREVIOUS in look.neighbors}
+    known = [share for k, share in fits.items() if np.isfinite(share) and k not in left_out]
+    usual = float(np.median(known)) if known else 0.0
+    if usual < _LEAST:
+        return []
+    last, found = max(looks), []
+    misfits = [k for k, share in fits.items() if share < _FITTING * usual and k not in left_out]
+    right = [k for k in fits if k not in misfits]
+    for k in misfits[:_MOST]:
+        near = min(right, key=lambda other: abs(other - k))
+        usual_colors = _along_both(clip, near, reading, exposure, samples)
+        vectors, cameras = _along_both(clip, k, reading, exposure, samples)
+        follows = vectors > _SAME_SHOT * usual_colors[0], cameras > _SAME_SHOT * usual_colors[1]
+        if all(follows):
+            follows = vectors > cameras, cameras > vectors
+        file = shown[k].file
+        moving = shown[k].motion is not None and np.nanmedian(np.abs(shown[k].motion)) > 0
+        if len(misfits) == 1 and k in (1, last) and (follows[0] or follows[1]):
+            found.append(MisfitAtEnd(k, file))
+        elif follows[0] and not follows[1]:
+            found.append(OffInOneFrame(k, file))
+        elif follows[1] and moving:
+            found.append(Gap(k, file))
+        else:
+            found.append(Cut(k, file))
+    return found
+
+
+def _share(look: Look, reading: Reading, step: float) -> float:
+    """Return the share of samples whose motion agrees with depth and cameras; NaN without motion."""
+    bench = Bench([look])
+    motion = bench.motion(reading.motion)
+    use = bench.solid & np.isfinite(motion).all(-1)
+    if use.sum() < 16:
+        return float("nan")
+    if reading.rows == "up":
+        bench = Bench([_upside_down(look)])
+    off = np.linalg.norm(bench.static(reading.cameras, reading.depth) - motion, axis=-1)[use]
+    scale = np.median(np.linalg.norm(motion[use], axis=-1))
+    return float((off <= max(_AGREES * scale, _FINEST, step)).mean())
+
+
+def _upside_down(look: Look) -> Look:
+    return turned({0: replace(look.neighbors[PREVIOUS], index=0), 1: replace(look, index=1, reset=False)})[1]
+
+
+def _along_both(clip: Clip, k: int, reading: Reading, exposure: float, samples: int) -> np.ndarray:
+    """Return the agreement (2,) of colors of frame `k` with the one before, along vectors and along depth and
+    cameras."""
+    beside = {n for n in (k - 1, k, k + 1) if 0 <= n < len(clip.rendered)}
+    pair = take_looks(clip, beside, samples, beside, exposure)
+    if reading.offset[1]:
+        pair = of_other_frames(pair, *reading.offset)
+    if reading.rows == "up":
+        pair = turned(pair)
+    if k not in pair or PREVIOUS not in pair[k].neighbors:
+        return np.zeros(2)
+    bench, found = Bench([pair[k]]), []
+    for motion in (bench.motion(reading.motion), bench.static(reading.cameras, reading.depth)):
+        score = bench.color_scores(motion, PREVIOUS)
+        use = bench.solid & np.isfinite(score)
+        found.append(score[use].mean() if use.any() else 0.0)
+    return np.array(found)
