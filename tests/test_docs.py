@@ -146,28 +146,12 @@ def test_tables_of_performance_are_those_of_the_records():
     assert all(f"<!-- {table}:begin -->\n" in page for table in TABLES)
 
 
-def test_findings_in_pages_are_those_of_the_doctor():
-    from gffe_cl.captures.doctor.findings import ENTRIES
-
-    known = {entry.partition("/")[0].lower().replace(": ", "-").replace(" ", "-") for entry in ENTRIES}
-    for name in ("doctor", "symptoms", "tutorial_live", "tutorial_own_capture", "sequences"):
-        found = re.findall(r"`((?:color|depth|motion|camera|frames)-[a-z0-9-]+)`", TEXTS[f"docs/{name}.md"])
-        assert set(found) <= known, name
-
-
 def test_tables_of_gpu_compilers_are_those_of_the_record():
     from gpu_compilers import TABLES, with_tables
 
     page = TEXTS["docs/portability.md"]
     assert with_tables(page) == page, "run python docs/tools/gpu_compilers.py --tables"
     assert all(f"<!-- {table}:begin -->\n|" in page for table in TABLES)
-
-
-def test_tables_of_the_doctor_are_those_of_its_record():
-    from measure_doctor import with_tables
-
-    page = TEXTS["docs/doctor.md"]
-    assert with_tables(page) == page and "<!-- confusion:begin -->\n|" in page, "docs/tools/measure_doctor.py --write"
 
 
 def test_tables_of_results_are_those_of_the_record():

@@ -41,7 +41,7 @@ FLOORS = {
         ("offline", "doctor"),
     ),
     "lab": (
-        ("metrics", "report", "fault_injection"),
+        ("metrics", "report"),
         ("compare",),
         ("table", "training", "demo"),
         ("bench",),

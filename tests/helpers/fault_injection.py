@@ -30,6 +30,7 @@ class Kept:
 
     def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0, forward=None):
         self.images, self.exposure, self.fps, self.forward = frames, exposure, fps, forward
+        self.format = None
         self.height, self.width = np.shape(frames[0].depth)
         self.frames = [
             FrameEntry(f"frame_{k:06d}.exr", f.time, "rendered", f.reset, (self.width, self.height), f.camera, f.camera)

@@ -13,16 +13,15 @@ import pyopencl as cl
 import pytest
 import tiny_sequence
 from doctor_clips import COUNT, clip
+from fault_injection import broken
 from scn_models import constant_model
 from viewer_session import PATIENCE, Canvas, Session, wait_for
 
 from gffe_cl import OPTIONS, Options
-from gffe_cl.captures.doctor.findings import FAULT, NOTE, Finding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Option
-from gffe_cl.lab.fault_injection import broken
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.figures import Figures
@@ -35,7 +34,6 @@ from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.saving import LayersWork
 from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.window import status
-from gffe_cl.viewer.window.doctor import offers_repair
 from gffe_cl.viewer.window.inspector import rows_of
 from gffe_cl.viewer.window.windows import stepped
 
@@ -526,7 +524,8 @@ def test_the_doctor_marks_frames_in_the_wrong_place():
         wait_for(lambda doctor=doctor: doctor.done)
         told.append(doctor)
     assert told[0].findings == [] and told[0].marks == {} and told[0].problem == told[1].problem == ""
-    assert any("order" in finding.name for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
+    assert any(finding.name == "gap" for finding in told[1].findings) and set(told[1].marks) <= set(range(COUNT))
+    assert not told[1].converts
     assert told[1].marks
 
 
@@ -567,13 +566,6 @@ def test_legends_have_the_units_of_what_is_compared(session):
         model.comparison.set("flip error")
         session.settle()
         assert unit().startswith("FLIP") and model.comparison.flip_map.shape == model.contents.size[::-1]
-
-
-def test_only_faults_are_offered_for_repair():
-    note = Finding(NOTE, "color", "display values", "looks like display values", "colors are made linear")
-    fault = Finding(FAULT, "motion", "y flipped", "y points up", "y is turned round")
-    assert not offers_repair([note]) and offers_repair([note, fault])
-    assert not offers_repair([Finding(FAULT, "camera", "fov", "the field of view is wrong")])
 
 
 def test_only_generated_frames_are_shown_while_it_plays(session):

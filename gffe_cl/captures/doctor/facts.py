@@ -73,8 +73,8 @@ def _set_aside_unwritten(looks: list[Look]) -> list[Finding]:
     shared = np.zeros(len(vectors), bool)
     values, counts = np.unique(vectors[usable], axis=0, return_counts=True)
     for k in np.argsort(-counts)[:_TRIED]:
-        same = (vectors == values[k]).all(-1)
-        if counts[k] >= max(FEWEST, _SHARED * len(vectors)) and leads_out[same].mean() >= _LEADS_OUT:
+        same = np.all(vectors == values[k], -1)
+        if counts[k] >= max(FEWEST, _SHARED * len(vectors)) and np.mean(leads_out, where=same) >= _LEADS_OUT:
             shared = same
             break
     unwritten, at = long | shared, 0
@@ -112,7 +112,8 @@ def _usable(look: Look, buffer: str) -> np.ndarray:
         return np.full(len(look.px), look.bad.color < np.prod(look.size))
     if buffer == "depth":
         return surface
-    return np.isfinite(_vectors(look)).all(-1)[surface] if surface.any() else np.ones(0, bool)
+    known = np.all(np.isfinite(_vectors(look)), -1)
+    return known[surface] if surface.any() else np.ones(0, bool)
 
 
 def _why(looks: list[Look], buffer: str) -> str:

@@ -147,23 +147,26 @@ class _FoundPixels:
         frame = replace(
             depth, color=color.color, motion=motion.motion, camera=entry.render_camera, overlays=color.overlays
         )
-        made = self._converted(frame, None if entry.reset else self._before.get(entry.file))
+        made = self._converted(frame, self._found.frame_format, None if entry.reset else self._before.get(entry.file))
         return made.color, made.depth, made.motion, made.overlays
 
-    def _converted(self, frame: RenderedFrame, before: FrameEntry | None) -> RenderedFrame:
+    def _converted(self, frame: RenderedFrame, format: FrameFormat, before: FrameEntry | None) -> RenderedFrame:
         jitter = (0.0, 0.0)
         if before is not None:
             height, width = np.shape(frame.color)[:2]
             rows, columns = np.shape(frame.depth)
             jitter = jitter_in_color(before.geometry_jitter, (width, height), (columns, rows))
-        return described_frame(frame, self._found.frame_format, before and before.render_camera, jitter)
+        return described_frame(frame, format, before and before.render_camera, jitter)
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
         if entry.file in self._sources:
             return self.read(entry, size)[0]
         color = self._sequence.read_color(entry)
-        plain = RenderedFrame(color, np.ones(color.shape[:2], np.float32), None, None, entry.time)
-        return self._converted(plain, None).color
+        none: Any = None  # no camera is needed for colors
+        plain = RenderedFrame(color, np.ones(color.shape[:2], np.float32), None, none, entry.time)
+        found = self._found.frame_format
+        format = FrameFormat(rows=found.rows, color_encoding=found.color_encoding)
+        return self._converted(plain, format, None).color
 
     def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
         return self._sequence.read_channels(entry, names)

@@ -94,7 +94,8 @@ def breaks(
         if all(follows):
             follows = vectors > cameras, cameras > vectors
         file = shown[k].file
-        moving = shown[k].motion is not None and np.nanmedian(np.abs(shown[k].motion)) > 0
+        motion = shown[k].motion
+        moving = motion is not None and np.nanmedian(np.abs(motion)) > 0
         if len(misfits) == 1 and k in (1, last) and (follows[0] or follows[1]):
             found.append(MisfitAtEnd(k, file))
         elif follows[0] and not follows[1]:

@@ -153,7 +153,7 @@ class Depth:
     def _planes(self, ends: tuple[float, float]) -> dict[str, Any]:
         first, slope = self.coefficients
         with np.errstate(divide="ignore", over="ignore"):
-            planes = [float(1 / self.law.inverse(np.float64(first + slope * end))) for end in ends]
+            planes = (1 / self.law.inverse(first + slope * np.array(ends))).tolist()
         if self.law is DEVICE:
             farthest = int(first + slope * ends[0] > first + slope * ends[1])
             near = planes[1 - farthest]

@@ -199,7 +199,8 @@ def test_a_run_detects_a_user_interface(gffe, tmp_path):
         ("plain", plain, ()),
     ):  # fmt: skip
         code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options, checked=True)
-        assert (code, error) == (0, "") and ("user interface detection is on" in text) == (name == "auto")
+        assert code == 0, error
+        assert ("user interface detection is on" in text) == (name == "auto")
         sequence = open_sequence(tmp_path / name)
         made[name] = [sequence.read_color(entry) for entry in sequence.frames if entry.kind == "extrapolated"]
 
