@@ -116,11 +116,6 @@ def test_every_symptom_has_its_picture():
     assert sum((ROOT / "docs" / "pictures" / name).stat().st_size for name in pictures) < 600_000
 
 
-def test_the_glossary_is_short_and_in_order():
-    words = re.findall(r"^\| \*?\*?([^|*]+?)[*,| ]", TEXTS["docs/glossary.md"].partition("| --- | --- |\n")[2], re.M)
-    assert len(words) <= 40 and words[1:] == sorted(words[1:], key=str.lower)  # the first one is α
-
-
 def test_no_paths_of_one_machine():
     for name, text in TEXTS.items():
         assert not re.search(r"(?<![\w.~$}/])/(home|root|tmp|work)\b", text), name
@@ -256,15 +251,6 @@ def test_deviations_that_are_measured_exist():
     for name in (*measured.GAE, *measured.SCN):
         assert name.strip("()… ").lower() in explained, name
         assert f"| {name} |" in page, f"{name}: run python docs/tools/measure_deviations.py --write"
-
-
-def test_a_drifted_table_is_found():
-    from make_tables import with_tables
-    from pages import between_markers
-
-    page = TEXTS["docs/stages.md"].replace("| `motion` |", "| `movement` |", 1)
-    assert page != TEXTS["docs/stages.md"] and with_tables(page) == TEXTS["docs/stages.md"]
-    assert between_markers("no markers", "options", "x") == "no markers"
 
 
 def test_readme_is_short():

@@ -165,9 +165,17 @@ class Game:
         color = self.antialiased(color, motion) if self.game and not self.cut else color
         shift = np.subtract((jittered.cx, jittered.cy), (rendered.cx, rendered.cy)) * self.geometry_size / self.size
         frame = gffe.RenderedFrame(
-            color, depth, motion, rendered, now, display_camera=camera, reset=self.cut,
-            overlays=gffe.Overlays(ui=self.hud), geometry_jitter=tuple(shift), geometry_size=self.geometry_size,
-        )  # fmt: skip
+            color,
+            depth,
+            motion,
+            rendered,
+            now,
+            display_camera=camera,
+            reset=self.cut,
+            overlays=gffe.Overlays(ui=self.hud),
+            geometry_jitter=tuple(shift),
+            geometry_size=self.geometry_size,
+        )
         if self.lose and not self.cut:
             self.lose = False
             return None  # what was kept stays: motion of the next frame leads to the last one that arrived
@@ -235,9 +243,14 @@ def figures(game, rate, shown, frames):
 
 
 def main(
-    rate: int = 15, shown: int = 30, frames: int = 0, offscreen: bool = False, measure: bool = False, json: str = "",
+    rate: int = 15,
+    shown: int = 30,
+    frames: int = 0,
+    offscreen: bool = False,
+    measure: bool = False,
+    json: str = "",
     game: bool = False,
-):  # fmt: skip
+):
     made = Game((480, 270), offscreen, game)
     if not measure:
         return play(made, rate, shown, frames or 10**9)

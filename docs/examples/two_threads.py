@@ -257,10 +257,19 @@ def pairs(text):
 
 
 def main(
-    rate: float = 30, shown: float = 60, seconds: float = 10, rendering: float = 25, taking: float = 1,
-    making: float = 4, uneven: float = 0, variable: bool = False, stall: str = "", lose: str = "", cut: str = "",
+    rate: float = 30,
+    shown: float = 60,
+    seconds: float = 10,
+    rendering: float = 25,
+    taking: float = 1,
+    making: float = 4,
+    uneven: float = 0,
+    variable: bool = False,
+    stall: str = "",
+    lose: str = "",
+    cut: str = "",
     resize: str = "",
-):  # fmt: skip
+):
     """Simulate a renderer (`rate`, frames per second) and a display (`shown`), of a variable rate if `variable`.
     `rendering`, `taking`, `making`, `uneven`: ms of a rendered frame, to take it, of a new frame, and by which rendered
     ones may take longer. `stall`, `lose`: WHEN:SECONDS of long frames and of no display; `cut`, `resize`: WHEN."""

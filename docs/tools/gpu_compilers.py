@@ -62,10 +62,15 @@ def unpack(folder: Path, release: str, packages: Iterable[str]) -> None:
     (apt / "status").touch()
     (apt / "sources.list").write_text(f"deb [signed-by={KEYRING}] {mirror()} {release} main\n")
     settings = {
-        "Dir::Etc::sourcelist": apt / "sources.list", "Dir::Etc::sourceparts": "-", "Dir::State::lists": apt / "lists",
-        "Dir::State::status": apt / "status", "Dir::Cache": apt / "cache", "Debug::NoLocking": "1",
-        "APT::Sandbox::User": "", "APT::Architecture": "amd64",
-    }  # fmt: skip
+        "Dir::Etc::sourcelist": apt / "sources.list",
+        "Dir::Etc::sourceparts": "-",
+        "Dir::State::lists": apt / "lists",
+        "Dir::State::status": apt / "status",
+        "Dir::Cache": apt / "cache",
+        "Debug::NoLocking": "1",
+        "APT::Sandbox::User": "",
+        "APT::Architecture": "amd64",
+    }
     command = ["apt-get", "-qq", *(f"-o{name}={value}" for name, value in settings.items())]
     subprocess.run([*command, "update"], check=True)
     choice = ("--no-install-recommends", "--download-only", "-y", "install")
@@ -106,9 +111,12 @@ def record() -> list[str]:
         failures = [f"{one.program} ({one.form}) for {one.gpu}: {one.failure}" for one in built if one.failure]
         failed += failures
         builds[kind.vendor] = {
-            "date": date.today().isoformat(), "compiler": compiler.version, "gpus": list(compiler.gpus),
-            "programs": len(built), "built": len(built) - len(failures),
-        }  # fmt: skip
+            "date": date.today().isoformat(),
+            "compiler": compiler.version,
+            "gpus": list(compiler.gpus),
+            "programs": len(built),
+            "built": len(built) - len(failures),
+        }
         for one in reversed(built):  # of several forms, the first one stays
             for kernel, cost in one.costs.items():
                 kernels[f"{one.program}.{kernel}"][one.gpu] = asdict(cost) | {"occupancy": round(cost.occupancy, 3)}

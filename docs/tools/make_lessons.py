@@ -22,11 +22,8 @@ from pages import DOCS, REPOSITORY
 
 PAGES = {
     "README": REPOSITORY / "README.md",
-    **{
-        name: DOCS / f"{name}.md"
-        for name in ("tutorial_first_result", "tutorial_wrong_pixel", "tutorial_own_capture")
-    },
-}  # fmt: skip
+    **{name: DOCS / f"{name}.md" for name in ("tutorial_first_result", "tutorial_wrong_pixel", "tutorial_own_capture")},
+}
 NOT_RUN = ("git clone",)
 SAME = {"make demo": "gffe demo"}  # in an environment that is there
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.S | re.M)

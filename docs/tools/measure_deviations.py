@@ -335,8 +335,11 @@ def situations_table(device: Device, setting: argparse.Namespace) -> str:
 
 GAIN_HEADS = ("gain in dB, PSNR over", "whole frame", "holes", "movers", "the rest")
 TABLES: dict[str, Callable[[Device, argparse.Namespace], str]] = {
-    "gae": gae_table, "parts": parts_table, "scn": scn_table, "situations": situations_table,
-}  # fmt: skip
+    "gae": gae_table,
+    "parts": parts_table,
+    "scn": scn_table,
+    "situations": situations_table,
+}
 
 
 def main() -> None:

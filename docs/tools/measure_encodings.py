@@ -36,9 +36,17 @@ SIZE, FRAMES = (480, 270), 8
 LEAST = 0.25  # pixels: the least automatic threshold
 FIXED = (1.0, 1.4, 2.0, 2.8, 4.0)  # pixels
 ENCODINGS = (
-    "", "half-uv", "half-uv,two-lookups", "unorm8", "unorm16", "rounded", "rounded,two-lookups", "half-depth",
-    "noisy-camera", "engine",
-)  # fmt: skip
+    "",
+    "half-uv",
+    "half-uv,two-lookups",
+    "unorm8",
+    "unorm16",
+    "rounded",
+    "rounded,two-lookups",
+    "half-depth",
+    "noisy-camera",
+    "engine",
+)
 BELOW, FACTOR = 0.2, 1.5  # targets: dB below the best fixed threshold, and factor of the share of dynamic pixels
 RECORD = MEASURED / "encodings.json"
 
@@ -162,15 +170,18 @@ def encodings_table(cells: list[Cell]) -> str:
     rows = []
     for text in dict.fromkeys(cell.encoding for cell in cells):
         of = [cell for cell in cells if cell.encoding == text]
+        close = sum(cell.is_close_to(cell.exact) for cell in of), sum(cell.is_close_to(cell.visible) for cell in of)
         gains, factors = [cell.gain for cell in of], [cell.factor for cell in of]
-        rows.append((
-            f"`{text}`" if text else "exact",
-            signed(-np.mean([cell.loss for cell in of])),
-            f"{signed(np.mean(gains))}; {signed(min(gains))} ({min(of, key=lambda cell: cell.gain).scene})",
-            f"{sum(gain >= -BELOW for gain in gains)} of {len(of)}",
-            f"{min(factors):.2f} to {max(factors):.2f}",
-            f"{sum(cell.is_close_to(cell.exact) for cell in of)}, {sum(cell.is_close_to(cell.visible) for cell in of)}",
-        ))  # fmt: skip
+        rows.append(
+            (
+                f"`{text}`" if text else "exact",
+                signed(-np.mean([cell.loss for cell in of])),
+                f"{signed(np.mean(gains))}; {signed(min(gains))} ({min(of, key=lambda cell: cell.gain).scene})",
+                f"{sum(gain >= -BELOW for gain in gains)} of {len(of)}",
+                f"{min(factors):.2f} to {max(factors):.2f}",
+                f"{close[0]}, {close[1]}",
+            )
+        )
     heads = ("encoding", "against exact buffers, dB", "against the best fixed ε, dB: mean; worst")
     heads += (f"no more than {BELOW:g} dB below",)
     return table((*heads, "dynamic / exact share", f"within a factor of {FACTOR:g} of exact, of visible"), rows)

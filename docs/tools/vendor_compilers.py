@@ -162,9 +162,20 @@ class Amd(Compiler):
         target = ("-target", "amdgcn-amd-amdhsa", f"-mcpu={gpu}", f"-mcode-object-version={abi}")
         rounded = ["-cl-fp32-correctly-rounded-divide-sqrt"] if "EXACT_DIVISION" in options else []
         self.system.run(
-            self.clang, *_resources(self.clang), *_OPENCL, *target, *rounded, *_defined(options), "-O3",
-            f"--rocm-device-lib-path={self.libraries}", "-S", "-", "-o", code, text=source,
-        )  # fmt: skip
+            self.clang,
+            *_resources(self.clang),
+            *_OPENCL,
+            *target,
+            *rounded,
+            *_defined(options),
+            "-O3",
+            f"--rocm-device-lib-path={self.libraries}",
+            "-S",
+            "-",
+            "-o",
+            code,
+            text=source,
+        )
         self.system.run(self.clang, "-x", "assembler", *target, "-c", code, "-o", made)
         self.system.run(self.linker, "--no-undefined", "-shared", made, "-o", program)
         return dict(self._costs(code.read_text()))
@@ -176,11 +187,18 @@ class Amd(Compiler):
             body = _first(rf"^{name}:.*?\n(.*?)^\.Lfunc_end", code)
             facts = {key: int(value) for key, value in re.findall(r"\.(\w+):\s+(\d+)$", block, re.M)}
             waves = int(_first(r"; Occupancy: (\d+)", code[code.index(f"\n{name}:") :]))
-            yield name, Cost(
-                facts["vgpr_count"], 4 * (facts["vgpr_spill_count"] + facts["sgpr_spill_count"]),
-                facts["private_segment_fixed_size"], facts["group_segment_fixed_size"],
-                len(re.findall(r"^\t[a-z]\w+", body, re.M)), facts["wavefront_size"], waves / 16,
-            )  # fmt: skip
+            yield (
+                name,
+                Cost(
+                    facts["vgpr_count"],
+                    4 * (facts["vgpr_spill_count"] + facts["sgpr_spill_count"]),
+                    facts["private_segment_fixed_size"],
+                    facts["group_segment_fixed_size"],
+                    len(re.findall(r"^\t[a-z]\w+", body, re.M)),
+                    facts["wavefront_size"],
+                    waves / 16,
+                ),
+            )
 
 
 class Nvidia(Compiler):
@@ -211,9 +229,19 @@ class Nvidia(Compiler):
         libraries = (part for path in (self.builtins, self.library) for part in _cc1("-mlink-builtin-bitcode", path))
         division = f"-nvptx-prec-divf32={2 if 'EXACT_DIVISION' in options else 1}"
         self._compile(
-            gpu, _EXTENSIONS, *libraries, "-mllvm", division, *_defined(options), "-O3", "-S", "-", "-o", code,
+            gpu,
+            _EXTENSIONS,
+            *libraries,
+            "-mllvm",
+            division,
+            *_defined(options),
+            "-O3",
+            "-S",
+            "-",
+            "-o",
+            code,
             text=source,
-        )  # fmt: skip
+        )
         report = _printed([self.assembler, "-v", f"-arch={gpu}", code, "-o", program])
         counted = _instructions(_printed([self.disassembler, "-c", program]))
         return dict(self._costs(report, counted))
@@ -233,9 +261,7 @@ class Nvidia(Compiler):
             warps = min(self.threads, self.groups * of_group, self.registers // of_warp // of_group * of_group)
             local = int(_first(r"(\d+) bytes smem", rest, "0"))
             spilled = int(stores) + int(loads)
-            yield name, Cost(
-                int(registers), spilled, int(stack), local, counted[name], 32, warps / self.threads
-            )  # fmt: skip
+            yield name, Cost(int(registers), spilled, int(stack), local, counted[name], 32, warps / self.threads)
 
 
 class Intel(Compiler):
@@ -253,9 +279,21 @@ class Intel(Compiler):
         rounded = ["-cl-fp32-correctly-rounded-divide-sqrt"] if "EXACT_DIVISION" in options else []
         asked = " ".join(("-cl-std=CL1.2", "-cl-kernel-arg-info", *rounded, *_defined(options)))
         self.system.run(
-            self.ocloc, "compile", "-file", folder / "kernels.cl", "-device", gpu, "-options", asked,
-            "-internal_options", "-cl-intel-allow-zebin", "-out_dir", folder, "-output", "kernels",
-        )  # fmt: skip
+            self.ocloc,
+            "compile",
+            "-file",
+            folder / "kernels.cl",
+            "-device",
+            gpu,
+            "-options",
+            asked,
+            "-internal_options",
+            "-cl-intel-allow-zebin",
+            "-out_dir",
+            folder,
+            "-output",
+            "kernels",
+        )
         sections = elf_sections(next(folder.glob("*.bin")).read_bytes())
         if missing := [name for name in undefined_symbols(sections) if not name.startswith("__INTEL_")]:
             raise BuildFailed(f"undefined: {', '.join(missing)}")  # ocloc leaves them to the driver
@@ -272,10 +310,18 @@ class Intel(Compiler):
             memory = re.findall(r"- type:\s+(\w+)\s+usage:\s+(\w+)\s+size:\s+(\d+)", block)
             private = sum(int(size) for kind, usage, size in memory if usage == "private_space")
             simd = facts["simd_size"]
-            yield name, Cost(
-                facts["grf_count"], facts.get("spill_size", 0), private,
-                facts.get("slm_size", 0), intel_instructions(sections[f".text.{name}"]), simd, 128 / facts["grf_count"],
-            )  # fmt: skip
+            yield (
+                name,
+                Cost(
+                    facts["grf_count"],
+                    facts.get("spill_size", 0),
+                    private,
+                    facts.get("slm_size", 0),
+                    intel_instructions(sections[f".text.{name}"]),
+                    simd,
+                    128 / facts["grf_count"],
+                ),
+            )
 
 
 COMPILERS: tuple[type[Compiler], ...] = (Amd, Nvidia, Intel)
@@ -327,10 +373,16 @@ _OPENCL = ("-x", "cl", "-cl-std=CL1.2", "-ffp-contract=off", "-w")
 _EXTENSIONS = "-cl-ext=-all," + ",".join(
     f"+cl_khr_{name}"
     for name in (
-        "fp16", "byte_addressable_store", "int64_base_atomics", "int64_extended_atomics", "global_int32_base_atomics",
-        "global_int32_extended_atomics", "local_int32_base_atomics", "local_int32_extended_atomics",
+        "fp16",
+        "byte_addressable_store",
+        "int64_base_atomics",
+        "int64_extended_atomics",
+        "global_int32_base_atomics",
+        "global_int32_extended_atomics",
+        "local_int32_base_atomics",
+        "local_int32_extended_atomics",
     )
-)  # fmt: skip
+)
 
 
 def elf_sections(file: bytes) -> dict[str, bytes]:

@@ -23,7 +23,7 @@ from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order o
     selftest,
     train,
     view,
-)  # fmt: skip
+)
 from gffe_cl.cli.common import app, out, warn_of_networks
 from gffe_cl.engine.core.errors import REPOSITORY, GffeError
 from gffe_cl.engine.core.validation import MOST_SEED, shown

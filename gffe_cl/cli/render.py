@@ -81,9 +81,21 @@ def render(
     with progress_bars() as progress:
         opened, total = open_device(device), frames * (1 + per_frame * ground_truth)
         count = render_sequence(
-            built, output, opened, width, height, frames, fps,
-            ground_truth=ground_truth, per_frame=per_frame, samples=samples, window=window, jitter=jittered,
-            scale=scale, encoding=encoding, compression=compression,
+            built,
+            output,
+            opened,
+            width,
+            height,
+            frames,
+            fps,
+            ground_truth=ground_truth,
+            per_frame=per_frame,
+            samples=samples,
+            window=window,
+            jitter=jittered,
+            scale=scale,
+            encoding=encoding,
+            compression=compression,
             on_frame=steps(progress)(f"Rendering '{scene}'", total),
-        )  # fmt: skip
+        )
     out.print(f"{count} frames in {plain(output)}")

@@ -118,10 +118,17 @@ def run(
         options = replace(options, ui_detection=True)
     with progress_bars() as progress:
         report = run_sequence(
-            source, output, opened, options, alphas,
-            predicted_camera=camera == "predicted", strict=strict, dump_stages=dump_stages, compression=compression,
+            source,
+            output,
+            opened,
+            options,
+            alphas,
+            predicted_camera=camera == "predicted",
+            strict=strict,
+            dump_stages=dump_stages,
+            compression=compression,
             on_frame=steps(progress)("Extrapolating", source.count * len(alphas)),
-        )  # fmt: skip
+        )
     _print_report(report, output)
     write_json(json_path, _report_json(report, opened.info))
 

@@ -37,9 +37,15 @@ def psnr(pairs):
 
 # 0.3 dB below what PoCL and Intel's runtime both gave.
 FLOORS = {
-    "corridor": 33.1, "plaza": 30.2, "room": 35.3, "forest": 35.9,
-    "gallery": 25.8, "street": 27.0, "factory": 28.0, "courtyard": 26.7,
-}  # fmt: skip
+    "corridor": 33.1,
+    "plaza": 30.2,
+    "room": 35.3,
+    "forest": 35.9,
+    "gallery": 25.8,
+    "street": 27.0,
+    "factory": 28.0,
+    "courtyard": 26.7,
+}
 
 
 @pytest.mark.long

@@ -225,9 +225,13 @@ def onnx_method(name: str, path: str | Path) -> Method:
     needs = frozenset({"following"}) if model.interpolates else frozenset()
     title = f"{name} (ONNX{', adds latency' if needs else ''})"
     return Method(
-        name, title, "baseline", needs=needs, model=Path(path),
+        name,
+        title,
+        "baseline",
+        needs=needs,
+        model=Path(path),
         make=lambda footage: baselines.OnnxRunner(model, footage.exposure),
-    )  # fmt: skip
+    )
 
 
 def chosen_methods(

@@ -243,9 +243,19 @@ def find_candidates(frames: Tensor, trends: Tensor, time: Tensor) -> tuple[Tenso
         moved = warp(now, time * found)
         held = (trend * earlier).sum(1, keepdim=True) / ((trend * trend).sum(1, keepdim=True) + _LITTLE)
         held = held.clamp(0, 1)
-        known = (found / 4, 4 * still.sqrt(), 4 * along.sqrt(), along / still, 4 * (moved - now), 4 * trend,
-                 4 * earlier.mean(1, keepdim=True), 4 * (now - before).mean(1, keepdim=True), held, share,
-                 torch.zeros_like(share) + time)  # fmt: skip
+        known = (
+            found / 4,
+            4 * still.sqrt(),
+            4 * along.sqrt(),
+            along / still,
+            4 * (moved - now),
+            4 * trend,
+            4 * earlier.mean(1, keepdim=True),
+            4 * (now - before).mean(1, keepdim=True),
+            held,
+            share,
+            torch.zeros_like(share) + time,
+        )
         trusted = (_TRUSTED - _DISTRUST * torch.minimum(again, again_along) / still).clamp(0, 1)
     return found, held, trusted, torch.cat(known, 1)
 
