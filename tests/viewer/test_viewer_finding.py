@@ -20,6 +20,7 @@ from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.metrics import REGIONS as TABLE
 from gffe_cl.lab.metrics import Flicker, Metric, psnr, squared_error, to_display
 from gffe_cl.lab.table.footage import find_labels
+from gffe_cl.viewer.engine.background import Background
 from gffe_cl.viewer.engine.figures import (
     NEEDED_BY_REGION,
     REGIONS,
@@ -145,7 +146,7 @@ class Surveying:
     """A survey of `a` and `b`, and an engine that makes one slot at each look; its error grows with the slot."""
 
     def __init__(self):
-        self.store, self.measured = Store(0), Measurements()
+        self.store, self.measured = Store(0), Measurements(Background("test"))
         self.survey = Survey(self.store, self.measured, Playback(count=8))
         self.a, self.b = side(), side(motion=False)
         self.made = []
@@ -219,12 +220,11 @@ def test_invalid_pixels_are_seen_where_the_motion_leads():
 
 def test_the_next_invalid_pixel_is_in_another_group():
     view, contents = View("final", Display()), SimpleNamespace(result=None)
-    pixels = InvalidPixels(view, contents)
+    pixels = InvalidPixels(view, contents, Background("test"))
     assert pixels.next(None) is None and pixels.text() == ""
     pixels.places = np.array([(4, 1), (5, 1), (3, 2), (9, 2), (0, 7)])
     assert [pixels.next(at) for at in (None, (4, 1), (9, 2), (0, 7))] == [(4, 1), (9, 2), (0, 7), (4, 1)]
     assert pixels.text() == "5 invalid pixels"
-    pixels.close()
 
 
 def test_means_of_both_are_over_the_slots_that_both_have():
@@ -308,7 +308,7 @@ def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
     metrics["broken"] = Metric("broken", "Broken", lambda shown, true: 1 / 0)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.METRICS", metrics)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.measurable", lambda: list(metrics.values()))
-    measured, frame = Measurements(), made(slot=3)
+    measured, frame = Measurements(Background("test")), made(slot=3)
 
     def known():
         measured.update()

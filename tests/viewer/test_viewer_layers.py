@@ -21,6 +21,7 @@ from gffe_cl.engine.stages.network import NetworkInput
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs
 from gffe_cl.engine.stages.warp import Connectivity
+from gffe_cl.viewer.engine.background import Background as Jobs
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.displays import (
     COLOR_MAPS,
@@ -99,11 +100,10 @@ def test_handles_of_the_histogram_change_the_display(spec, handles, dragged, cha
     looks = Looks(contents, {})
     if spec is FINAL:
         looks.change(spec.name, exposure=1.0)
-    histogram = Histogram(View(spec.name, Display()), contents, looks)
+    histogram = Histogram(View(spec.name, Display()), contents, looks, Jobs("test"))
     assert histogram.handles() == handles
     histogram.drag(*dragged)
     assert {name: getattr(looks.of(spec.name), name) for name in changed} == pytest.approx(changed)
-    histogram.close()
 
 
 def test_stage_buffers_become_layers():

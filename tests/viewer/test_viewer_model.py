@@ -3,7 +3,6 @@
 import json
 import os
 import shutil
-import threading
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -15,7 +14,7 @@ import tiny_sequence
 from doctor_clips import COUNT, clip
 from fault_injection import broken
 from scn_models import constant_model
-from viewer_session import PATIENCE, Canvas, Session, wait_for
+from viewer_session import Session, wait_for
 
 from gffe_cl import OPTIONS, Options
 from gffe_cl.engine.core.errors import GffeError
@@ -26,7 +25,6 @@ from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.engine.slot_maker import Seeker
-from gffe_cl.viewer.state import opening
 from gffe_cl.viewer.state.captions import value_text
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
@@ -134,10 +132,10 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
 def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
     """Its cached slots are not those of the opened one."""
     model = session.model
-    session.until(lambda: model.ahead.cached)
+    session.until(lambda: model.document.ahead.cached)
     with session.engine_waiting():
         model.opened(model.source)
-        assert model.ahead.cached == frozenset()
+        assert model.document.ahead.cached == frozenset()
 
 
 def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
@@ -232,7 +230,7 @@ def test_cuts_found_in_computing_ahead_are_marked(session, monkeypatch):
     assert model.slot == 0 and not model.contents.resets
     model.set("levels", 1)  # so that everything is computed anew
     session.settle()
-    session.until(lambda: 5 in model.ahead.cached)
+    session.until(lambda: 5 in model.document.ahead.cached)
     session.frame()
     assert model.slot == 0 and model.contents.resets == {2: "a cut was found here"}
 
@@ -324,7 +322,7 @@ def test_a_model_that_cannot_be_loaded_switches_shading_correction_off(session, 
     model.playback.seek(3)
     model.set("scn_model", str(path))
     session.until(lambda: model.parameters.network_fault)
-    assert not computed(session) and not model.parameters.is_on("shading_correction") and model.failure is None
+    assert not computed(session) and not model.parameters.is_on("shading_correction") and model.document.failure is None
     model.playback.seek(1)
     assert not computed(session)
     (told,) = model.messages
@@ -451,37 +449,13 @@ def test_numbers_of_the_palette():
     assert stepped(threshold, None, 1) == pytest.approx(1.4) and stepped(threshold, 100.0, 1) == 100.0
 
 
-def test_the_first_rendered_frame_is_shown_before_there_is_a_device(tmp_path, monkeypatch):
-    """... and stays until there is a result."""
-    held, shown = threading.Event(), {}
-    open_device = opening.open_viewer_device
-    monkeypatch.setattr(opening, "open_viewer_device", lambda wanted: held.wait(PATIENCE) and open_device(wanted))
-    model, canvas = Model(Settings(), save_settings=False), Canvas()
-    try:
-        model.open(str(tiny_sequence.write(tmp_path / "first")))
-        end = time.monotonic() + PATIENCE
-        while model.contents.result is None:
-            assert time.monotonic() < end
-            model.update(time.perf_counter(), canvas)
-            if model.preview is not None and not held.is_set():
-                shown = dict(canvas.layers)
-                held.set()
-            assert not shown or "final" in canvas.layers
-            time.sleep(0.002)
-    finally:
-        held.set()
-        model.close()
-    np.testing.assert_array_equal(shown["final"], canvas.layers["final"])
-    assert model.preview is None
-
-
-def test_a_folder_that_cannot_be_opened_leaves_no_preview(tmp_path):
+def test_a_folder_that_cannot_be_opened_is_told(tmp_path):
     (tmp_path / "empty").mkdir()
-    model, canvas = Model(Settings(), save_settings=False), Canvas()
+    model = Model(Settings(), save_settings=False)
     try:
         model.open(str(tmp_path / "empty"))
-        wait_for(lambda: model.update(time.perf_counter(), canvas) or model.messages)
-        assert model.preview is None and "no sequence.json" in model.notice
+        wait_for(lambda: model.update(time.perf_counter(), None) or model.messages)
+        assert "no sequence.json" in model.document.notice
     finally:
         model.close()
 
@@ -497,7 +471,7 @@ def test_a_file_of_a_capture_opens_its_folder(session, tmp_path):
 def test_a_device_that_is_lost_for_a_while(session, monkeypatch):
     """What it was asked for is told; what is in the cache can be looked at; it is used again when it is back."""
     model, shoot = session.model, Seeker.shoot
-    session.until(lambda: len(model.ahead.cached) == model.playback.slots)
+    session.until(lambda: len(model.document.ahead.cached) == model.playback.slots)
 
     def lost(self, k, alpha):
         raise cl.RuntimeError("clEnqueueNDRangeKernel failed: OUT_OF_RESOURCES")
@@ -514,7 +488,7 @@ def test_a_device_that_is_lost_for_a_while(session, monkeypatch):
     monkeypatch.setattr(Seeker, "shoot", shoot)
     model.show_layer("frame.depth")
     session.settle()
-    assert model.slot == 1 and set(session.canvas.layers) == {"frame.depth"} and model.failure is None
+    assert model.slot == 1 and set(session.canvas.layers) == {"frame.depth"} and model.document.failure is None
 
 
 def test_the_doctor_marks_frames_in_the_wrong_place():

@@ -139,7 +139,7 @@ def test_settings_are_found_again(session):
     assert model.parameters.value("motion") is False
     saved = model.comparison.preferences()
     assert (saved["compare"], saved["b"]) == ("off", None)
-    line = command_line(model.setup, model.source, model.plan.seed)
+    line = command_line(model.setup, model.source, model.document.plan.seed)
     assert "--no-motion" in line and replace(model.setup, n=3) != model.setup
 
 
@@ -191,7 +191,7 @@ def test_an_ablation_tells_what_a_module_gains(session):
     scores = []
     for filling in ("far-side", "none"):
         model.set("hole_filling", filling)
-        model.measuring = True
+        model.choices.measuring = True
         session.settle()
         session.until(lambda: "psnr" in model.metrics.get(3, Figures()).values)
         scores.append(model.metrics[3].values["psnr"])

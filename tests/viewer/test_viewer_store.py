@@ -267,7 +267,7 @@ def computed(monkeypatch):
 def filled(session):
     """Until all slots are in the cache."""
     session.settle()
-    session.until(lambda: len(session.model.ahead.cached) == session.model.playback.slots)
+    session.until(lambda: len(session.model.document.ahead.cached) == session.model.playback.slots)
 
 
 def shown(session):
@@ -359,7 +359,7 @@ def test_a_frame_that_cannot_be_read_is_told_when_it_is_looked_at(session, tmp_p
     model.open(str(tiny_sequence.write(tmp_path / "broken", frames=4)))
     session.until(lambda: model.source is not source)
     session.settle()
-    session.until(lambda: model.ahead.cached == {0, 1, 2, 3, 6, 7})
+    session.until(lambda: model.document.ahead.cached == {0, 1, 2, 3, 6, 7})
     assert not any(message.error for message in model.messages)
     model.playback.seek(4)
     session.until(lambda: any("frame_2.exr: truncated" in message.text for message in model.messages))
@@ -440,7 +440,7 @@ def test_the_render_rate_of_a_flight(session):
         assert model.contents.result.moment.camera.position == pytest.approx(pose, abs=1e-6)
     model.stop_flying()
     model.set("render_rate", "scene")
-    session.until(lambda: model.source.fps == 30.0 and model.plan.fps is None)
+    session.until(lambda: model.source.fps == 30.0 and model.document.plan.fps is None)
     assert not model.flying and model.n == 1
 
 

@@ -12,7 +12,6 @@ from viewer_gui_driver import CTRL, KEY, Gui, collector
 
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.sources.opening import ScenePlan
-from gffe_cl.viewer.picture.canvas import read
 
 CASES, case = collector()
 _ON_SLIDERS = imgui.Col_.text, imgui.Col_.slider_grab, imgui.Col_.slider_grab_active
@@ -85,40 +84,6 @@ def appearance(gui: Gui):
     values["default arrangement"] = {"width": gui.area()[2], "closed": closed}
 
 
-@case
-def resizing(gui: Gui):
-    """After a resize the window shows what the canvas drew, where it belongs."""
-    values, model = gui.values, gui.model
-    window = gui.on_screen(glfw_utils.glfw_window_hello_imgui)
-    values["sizes"] = []
-    for size in ((900, 600), (1280, 720)):
-        gui.on_screen(lambda size=size: glfw.set_window_size(window, *size))
-        gui.wait(lambda size=size: tuple(imgui.get_io().display_size) == size, f"a window of {size}")
-        gui.frames(3)
-        gui.key(KEY.f)
-        gui.settle()
-        whole, canvas = gui.window().astype(int), gui.picture()
-        left, top, width, height = map(int, gui.area())
-        part = whole[top : top + height, left : left + width]
-        same = (part == canvas).all(-1)
-        expected = gui.on_screen(
-            lambda canvas=canvas: read(
-                gui.app.canvas.draw(model.comparison.shown(), (canvas.shape[1], canvas.shape[0]), "test")
-            )[..., :3].astype(int)
-        )
-        values["sizes"].append(
-            {
-                "window": (whole.shape[1], whole.shape[0]),
-                "canvas": (canvas.shape[1], canvas.shape[0]),
-                "area": (width, height),
-                "same": float(same.mean()),
-                "right": bool((canvas == expected).all()),
-                "fits": bool(model.view.zoom * max(model.source.width / width, model.source.height / height) <= 1),
-            }
-        )
-        gui.shot(f"resizing, {size[0]}×{size[1]}")
-
-
 def _made(before: set[Path]) -> list[Path]:
     return sorted(set(Path.cwd().iterdir()) - before)
 
@@ -150,6 +115,29 @@ def saving(gui: Gui):
     values["told"] = gui.told()
 
 
+_NOT_ALONE = ("open", "open_path", "save_into", "b_from", "quit", "palette", "stop", "copy_command", "copy_command_b")
+
+
+@case
+def every_action(gui: Gui):
+    """Each action without an argument is run, that of a switch twice, so that it is as before."""
+    model, actions, values = gui.model, gui.app.actions, gui.values
+    values["failed"], before = [], len(model.messages)
+    for action in [action for action in actions if not action.takes and action.id not in _NOT_ALONE]:
+        if gui.on_screen(lambda id=action.id: actions.why_not(id)) is None:
+            for _ in range(1 + (action.id == "help" or actions.checked(action.id) is not None)):
+                gui.on_screen(lambda id=action.id: actions.run(id))
+                gui.frames(2)
+            gui.wait(lambda: model.saving.work is None and not model.document.notice, action.id)
+            gui.app.palette.close()
+            if model.engine.build_error or model.document.failure:
+                values["failed"].append(action.id)
+    values["told"] = [message.text for message in model.messages[before:] if message.error]
+    actions.release_all()
+    gui.app.actions.run("layout")
+    gui.frames(3)
+
+
 def leave_while_working(gui: Gui) -> None:
     """Choices that are to be there after a restart; then work that goes on when the window is closed."""
     app, model = gui.app, gui.model
@@ -170,7 +158,7 @@ def leave_while_working(gui: Gui) -> None:
     app.docks.toggle("Timings")
     window = gui.on_screen(glfw_utils.glfw_window_hello_imgui)
     gui.on_screen(lambda: glfw.set_window_size(window, 1100, 700))
-    model.plan = ScenePlan(1920, 1080, 0)
+    model.document.plan = ScenePlan(1920, 1080, 0)
     model.open("forest")
     gui.wait(lambda: model.source.name == "forest", "the scene")
     model.playback.seek(60)

@@ -124,12 +124,12 @@ class Gui:
 
     def images(self) -> dict[str, np.ndarray]:
         """All layers of the present slot."""
-        before = self.model.overview
-        self.model.overview = True
+        before = self.model.choices.overview
+        self.model.choices.overview = True
         self.settle()
         self.wait(lambda: len(self.model.contents.result.images) > 5, "all layers")
         found = dict(self.model.contents.result.images)
-        self.model.overview = before
+        self.model.choices.overview = before
         self.settle()
         return found
 
@@ -186,7 +186,7 @@ class Gui:
 
     def open(self, target) -> None:
         self.model.open(str(target))
-        self.wait(lambda: self.model.notice == "", f"{target} to open")
+        self.wait(lambda: self.model.document.notice == "", f"{target} to open")
         self.frames(3)
         self.settle()
 
@@ -207,9 +207,9 @@ class Gui:
         model.playback.mode, model.playback.speed, model.playback.loop = "real time", 1.0, True
         model.parameters.options = Options(**ALWAYS)
         model.set("n", 1)
-        model.overview = False
-        model.measuring = False
-        model.arrows, model.messages = False, []
+        model.choices.overview = False
+        model.choices.measuring = False
+        model.choices.arrows, model.messages = False, []
         model.settings.displays.clear()
         model.looks.forget()
         model.pointing.pick(None)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 from imgui_bundle import imgui
-from viewer_gui_driver import CTRL, KEY, SHIFT, Gui, collector
+from viewer_gui_driver import KEY, Gui, collector
 
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.window import status
@@ -35,29 +35,6 @@ def layers(gui: Gui):
     gui.choose("//Layers/###overlay", "edges")
     gui.settle()
     values["overlay"] = model.view.overlay
-
-
-@case
-def display_keys(gui: Gui):
-    """Exposure, reset, channel and range of what is shown."""
-    looks, values = gui.model.looks, gui.values
-    values["exposures"] = []
-    for key, modifiers in ((KEY.e, 0), (KEY.e, SHIFT), (KEY.e, SHIFT), (KEY.r, 0)):
-        gui.key(key, modifiers)
-        values["exposures"].append(looks.of("final").exposure)
-    gui.key(KEY.c)
-    gui.settle()
-    values["channel"] = looks.of("final").channel
-    values["gray"] = bool((np.ptp(gui.inside(), axis=-1) == 0).all())
-    gui.key(KEY.r)
-    gui.model.show_layer("frame.depth")
-    gui.settle()
-    looks.change("frame.depth", low=0.0, high=1000.0)
-    gui.key(KEY.n)
-    gui.settle()
-    depth = gui.model.contents.image("frame.depth")
-    values["range"] = looks.of("frame.depth").low, looks.of("frame.depth").high
-    values["quantiles"] = np.quantile(depth[np.isfinite(depth)], (0.01, 0.99)).tolist()
 
 
 @case
@@ -93,7 +70,7 @@ def overview(gui: Gui):
     gui.point(left + tile.x + tile.width / 2, top + tile.y + tile.height / 2)
     gui.ctx.mouse_click(0)
     gui.settle()
-    values["opened"] = model.view.a, model.overview
+    values["opened"] = model.view.a, model.choices.overview
 
 
 @case
@@ -112,46 +89,6 @@ def color_bars(gui: Gui):
             bar = gui.window()[y + top : y + bottom, x + left : x + right]
             colors[name] = len(np.unique(bar.reshape(-1, 3), axis=0))
     values["covers"], values["colors"] = covers, colors
-
-
-@case
-def zoom_and_pan(gui: Gui):
-    model, values = gui.model, gui.values
-    view = model.view
-    fitted = view.zoom, view.center
-    target = tuple(round(c) for c in gui.at(150.5, 80.5))  # the mouse is moved by whole pixels
-    left, top, width, height = gui.area()
-    size = int(width), int(height)
-    gui.point(*target)
-
-    def under():
-        return view.display_at(size, target[0] - left, target[1] - top)
-
-    values["under the cursor"] = [under()]
-    for _ in range(12):
-        gui.ctx.mouse_wheel_y(1)
-        gui.frames()
-        values["under the cursor"].append(under())
-    gui.settle()
-    values["enlarged"], middle = view.zoom / fitted[0], np.s_[size[1] // 4 : size[1] // 2, size[0] // 4 : size[0] // 2]
-    drawn = gui.window()[int(top) : int(top) + size[1], int(left) : int(left) + size[0]]
-    values["written"] = float((drawn[middle] != gui.picture()[middle]).any(-1).mean())
-    gui.shot("values in pixels")
-    gui.ctx.mouse_wheel_y(-2)
-    gui.frames(2)
-    values["under the cursor"].append(under())
-    values["zoomed"] = view.zoom / fitted[0]
-    gui.settle()
-    gui.shot("zoom")
-    center, zoom = view.center, view.zoom
-    gui.drag((left + width / 2, top + height / 2), (left + width / 2 + 90, top + height / 2 - 60))
-    values["panned by"] = tuple((a - b) * zoom for a, b in zip(center, view.center, strict=True))
-    values["picked by panning"] = model.pointing.picked
-    gui.key(KEY._0, CTRL)
-    values["one to one"] = view.zoom
-    gui.key(KEY.f)
-    gui.frames(2)
-    values["fitted again"] = (view.zoom, *view.center) == (fitted[0], *fitted[1])
 
 
 @case

@@ -14,7 +14,6 @@ from gffe_cl.viewer.window.app import has_dialogs
 from gffe_cl.viewer.window.timeline import DOUBT
 
 CASES, case = collector()
-_ANY_POPUP = imgui.PopupFlags_.any_popup.value
 
 
 @case
@@ -56,7 +55,7 @@ def dropping(gui: Gui):
     gui.key(KEY.left_arrow)
     gui.settle()
     values["goes on"] = model.contents.result.slot
-    values["target"] = Path(model._target).name
+    values["target"] = Path(model.document.target).name
     gui.app.drop([str(folder / "large")])
     gui.wait(lambda: model.source.name == "large", "the other sequence")
     gui.settle()
@@ -68,100 +67,21 @@ def dropping(gui: Gui):
     values["by its file"] = model.source.name
 
 
-def _palette(gui: Gui, text: str, name: str | None = None) -> None:
-    """Type into the command palette, and press Enter."""
-    gui.key(KEY.p, CTRL)
-    gui.frames(2)
-    gui.ctx.key_chars(text)
-    gui.frames(2)
-    if name:
-        gui.shot(name)
-    gui.key(KEY.enter)
-    gui.frames(2)
-
-
-@case
-def parameters_by_the_palette(gui: Gui):
-    """Toggles switch, choices list their values, numbers ask for one."""
-    app, values = gui.app, gui.values
-    parameters = gui.model.parameters
-    values["toggled"] = []
-    for _ in range(2):
-        _palette(gui, "crack closing")
-        values["toggled"].append(parameters.options.crack_closing)
-    _palette(gui, "hole filling down", "palette, choices")
-    values["chosen"] = parameters.options.hole_filling
-    gui.settle()
-    _palette(gui, "background levels")
-    gui.ctx.key_chars("9")
-    gui.key(KEY.enter)
-    gui.frames(2)
-    values["refused"] = parameters.options.levels, app.palette.asked
-    gui.shot("palette, number")
-    gui.ctx.key_chars("3")  # instead
-    gui.key(KEY.enter)
-    gui.frames(2)
-    values["entered"] = parameters.options.levels, app.palette.text
-    _palette(gui, "static threshold")
-    gui.key(KEY.up_arrow)
-    values["stepped"] = parameters.options.static_threshold
-    gui.ctx.key_chars("auto")
-    gui.key(KEY.enter)
-    gui.frames(2)
-    values["automatic"] = parameters.options.static_threshold
-    _palette(gui, "generated frames")
-    gui.ctx.key_chars("3")
-    gui.key(KEY.enter)
-    gui.settle()
-    values["n"] = gui.model.n
-
-
-@case
-def layers_by_the_palette(gui: Gui):
-    model, values = gui.model, gui.values
-    _palette(gui, "layer warp motion", "palette, layers")
-    gui.settle()
-    values["shown"] = model.view.a
-    gui.app.actions.run("layer final")
-    values["back"] = model.view.a
-    model.parameters.switch("levels", False)
-    gui.settle()
-    gui.app.actions.run("layer background.color")
-    values["not made now"] = model.view.a, gui.app.actions.last_refusal
-
-
 @case
 def doctor(gui: Gui):
     """A good sequence is examined; frames that the doctor marks are marked on the timeline."""
     model, values = gui.model, gui.values
     gui.key(KEY.d, CTRL)
-    gui.wait(lambda: model.doctor is not None and model.doctor.done, "the doctor")
+    gui.wait(lambda: model.document.doctor is not None and model.document.doctor.done, "the doctor")
     gui.frames(3)
-    values["said"] = [str(finding) for finding in model.doctor.findings]
-    model.doctor.marks = {3: "does not follow the frame before it"}
+    values["said"] = [str(finding) for finding in model.document.doctor.findings]
+    model.document.doctor.marks = {3: "does not follow the frame before it"}
     left, top, width, height = map(int, gui.area("//Timeline/###scrub"))
     gui.frames(2)
     column = gui.window()[top : top + height, left + round(width * 3 / model.playback.count)].astype(int)
     values["marked"] = float((np.abs(column - np.multiply(DOUBT[:3], 255)).max(-1) < 12).mean())
     gui.key(KEY.escape)
     gui.app.docks.toggle("Doctor")
-
-
-@case
-def kernel_timings(gui: Gui):
-    """A stage is opened: each of its kernels."""
-    model, values = gui.model, gui.values
-    gui.ctx.window_focus("//Timings")
-    gui.frames(3)
-    gui.app.docks.panel("Inspector").is_visible = False
-    values["stages"], values["kernels"] = sorted(model.timings.means()), sorted(model.timings.of_stage("warp"))
-    values["sum"] = sum(model.timings.of_stage("warp").values()), model.timings.means()["warp"]
-    before = gui.window()
-    gui.click("//Timings/###timings/###stage warp")
-    gui.frames(3)
-    values["drawn"] = float((gui.window() != before).any(-1).mean())
-    gui.shot("kernel_timings")
-    gui.app.docks.panel("Inspector").is_visible = True
 
 
 @case
@@ -175,8 +95,8 @@ def palette_and_help(gui: Gui):
     gui.shot("palette")
     gui.key(KEY.enter)
     gui.settle()
-    values["overview"], values["palette closed"] = model.overview, app.palette.text is None
-    model.overview = False
+    values["overview"], values["palette closed"] = model.choices.overview, app.palette.text is None
+    model.choices.overview = False
     gui.key(KEY.p, CTRL)
     gui.ctx.key_chars("frame")
     gui.key(KEY.down_arrow)
@@ -189,47 +109,11 @@ def palette_and_help(gui: Gui):
     gui.frames(3)
     values["help"] = gui.exists("//###help")
     gui.shot("help")
-    values["states"] = _behind(gui)
-
-
-def _behind(gui: Gui) -> list[dict]:
-    """While Keys is open, with more and more on top of it, which Escape closes one by one: what is open, and whether
-    shortcuts reached what lies behind."""
-    app, model, states, quits = gui.app, gui.model, [], []
-    quit_action, layer = app.actions["quit"], model.view.a
-    usual = quit_action.run
-    object.__setattr__(quit_action, "run", lambda: quits.append(True))
-
-    def look(key=KEY.escape) -> None:
-        before, asked = (model.playback.slot, model.overview, model.looks.of(layer).exposure), len(quits)
-        for pressed in (KEY.o, KEY.e, KEY.right_arrow):
-            gui.key(pressed)
-        gui.key(KEY.q, CTRL)
-        gui.frames(2)
-        windows = {"keys": app.help.is_open, "path": app.open_path.is_open, "palette": app.palette.is_open}
-        reached = before != (model.playback.slot, model.overview, model.looks.of(layer).exposure)
-        states.append(
-            {"open": [name for name, is_open in windows.items() if is_open], "reached": reached,
-             "quits": len(quits) - asked, "menu": gui.on_screen(lambda: imgui.is_popup_open("", _ANY_POPUP))}
-        )  # fmt: skip
-        gui.key(key)
-        gui.frames(2)
-
-    try:
-        look(KEY.left_shift)
-        gui.click("//**/###menu View")
-        look()
-        app.open_path.open(gui.model.open)
-        gui.frames(3)
-        look(KEY.left_shift)
-        app.palette.open()
-        gui.frames(3)
-        for _ in range(3):
-            look()
-        look(KEY.left_shift)
-    finally:
-        object.__setattr__(quit_action, "run", usual)
-    return states
+    gui.key(KEY.o)
+    values["covered"] = not model.overview
+    gui.key(KEY.escape)
+    gui.frames(2)
+    values["help closed"] = not app.help.is_open
 
 
 @case

@@ -11,22 +11,6 @@ ALT = KEY.mod_alt.value
 
 
 @case
-def ways_of_comparing(gui: Gui):
-    """Each by its button or key; T shows the truth alone."""
-    model, values = gui.model, gui.values
-    gui.ctx.window_focus("//Compare")
-    gui.frames(2)
-    gui.click("//Compare/###compare difference")
-    gui.settle()
-    values["ways"] = [(model.view.a, model.view.b, model.view.compare)]
-    for key in (KEY.m, KEY.m, KEY.t, KEY.t):
-        gui.key(key)
-        gui.settle()
-        values["ways"].append((model.view.a, model.view.b, model.view.compare))
-    gui.ctx.window_focus("//Modules")
-
-
-@case
 def settings_a_and_b(gui: Gui):
     """K keeps what is chosen as B; A is changed, and compared with it in every way."""
     model, values = gui.model, gui.values

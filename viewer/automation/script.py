@@ -173,7 +173,7 @@ class Director:
         now = time.monotonic()
         self._patience = self._patience or now + PATIENCE
         late = f"{self._where}: not done after {PATIENCE:.0f} s" if now > self._patience else None
-        self.problem = model.failure or model.parameters.network_fault or late
+        self.problem = model.document.failure or model.parameters.network_fault or late
         return self.problem is not None
 
     def _take(self, app: App, use: Callable[[np.ndarray], object]) -> None:
@@ -196,7 +196,7 @@ class Director:
 
 def _works_beside(model: Model) -> bool:
     """Return whether frames are being measured, the doctor examines the sequence, or something is being saved."""
-    examines = model.doctor is not None and not model.doctor.done
+    examines = model.document.doctor is not None and not model.document.doctor.done
     return model.survey.busy or model.studies.busy or model.saving.work is not None or examines
 
 

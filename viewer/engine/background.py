@@ -78,10 +78,11 @@ class Background:
 
 
 class Derived:
-    """A value that follows from what is shown; it is made in the background, for what was asked for last."""
+    """A value that follows from what is shown; it is made in the background, for what was asked for last, before jobs
+    that wait."""
 
-    def __init__(self, name: str):
-        self._background = Background(name)
+    def __init__(self, background: Background):
+        self._background = background
         self._future: Future | None = None
         self._wanted = self._coming = self._made = None  # their keys
         self._value: Any = None
@@ -101,15 +102,12 @@ class Derived:
             self._value = future.result()
         if self._future is None and key != self._made:
             self._coming = key
-            self._future = self._background.run(make, *arguments)
+            self._future = self._background.run(make, *arguments, soon=True)
         return self._value
 
     def forget(self) -> None:
         """Drop the value, and the one that is being made."""
         self._future = self._wanted = self._made = self._value = None
-
-    def close(self) -> None:
-        self._background.close()
 
 
 @atexit.register

@@ -122,14 +122,12 @@ class Measurements:
 
     Attributes
     ----------
-    background : Background
-        Runs it all.
     faults : list of str
         Why figures could not be measured, since the last look.
     """
 
-    def __init__(self):
-        self.background = Background("figures")
+    def __init__(self, background: Background):
+        self._background = background
         self._known: OrderedDict[Recipe, dict[int, Figures]] = OrderedDict()
         self._surveying: set[Key] = set()
         self._asked: set[Key] = set()  # slots on screen
@@ -177,7 +175,7 @@ class Measurements:
         for slow, waiting, most in (
             (False, self._quick, 1 + _TO_MEASURE // frame.nbytes), (True, self._slow, _SLOW),
         ):  # fmt: skip
-            job = self.background.run(self._by_metrics, frame, exposure, known, slow, soon=not slow)
+            job = self._background.run(self._by_metrics, frame, exposure, known, slow, soon=not slow)
             waiting.append((frame.key, job))
             while len(waiting) > most:
                 key, oldest = waiting.popleft()
@@ -199,7 +197,7 @@ class Measurements:
         self._surveying.add(frame.key)
         if recipe not in self._measurers:
             self._measurers = {**dict(list(self._measurers.items())[-1:]), recipe: Measurer()}
-        self.background.run(self._by_quantities, self._measurers[recipe], frame, exposure, known)
+        self._background.run(self._by_quantities, self._measurers[recipe], frame, exposure, known)
 
     def _by_quantities(self, measurer: Measurer, frame: Frame, exposure: float, known: dict[str, float]) -> None:
         try:
@@ -212,9 +210,6 @@ class Measurements:
     def surveying(self) -> frozenset[Key]:
         """Slots whose quantities are being measured."""
         return frozenset(self._surveying)
-
-    def close(self) -> None:
-        self.background.close()
 
 
 def displayed(frame: Frame, exposure: float) -> tuple[np.ndarray, np.ndarray]:

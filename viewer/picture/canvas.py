@@ -7,7 +7,7 @@ Row 0 of an array is the top of the picture, row 0 of a layer's texture, and the
 from __future__ import annotations
 
 import math
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from gffe_cl.engine.stages.frame_block import reprojection
 from . import differences, displays
 from .displays import TONE_MAPS, Display, FrameInfo, Rgb, shown_as
 from .textures import Texture, texels_of
-from .view import COMPARISONS, INVALID, INVALID_RENDERED, INVALID_SHOWN, OVERLAYS, Size, View
+from .view import CLIPPING, COMPARISONS, INVALID, INVALID_RENDERED, INVALID_SHOWN, OVERLAYS, Size, View
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
 # of display.frag
@@ -66,7 +66,7 @@ class _Program:
         vertex, fragment = (Path(__file__).with_name(f"display.{kind}").read_text("utf-8") for kind in ("vert", "frag"))
         version, rest = fragment.split("\n", 1)
         macros = (f"#define {name} {value}" for name, value in zip(_VARIANT, choice, strict=True))
-        fragment = "\n".join((version, *macros, "#line 2", rest))
+        fragment = "\n".join((version, *_constants(), *macros, "#line 2", rest))
         self._program = ctx.program(vertex_shader=vertex, fragment_shader=fragment)
         self._uniforms = {name: self._program[name] for name in self._program}
         self.triangle = ctx.vertex_array(self._program, [])
@@ -82,6 +82,17 @@ class _Program:
     def release(self) -> None:
         self.triangle.release()
         self._program.release()
+
+
+def _constants() -> Iterator[str]:
+    """Yield definitions of the shader's constants."""
+    numbered = ("", VIEWS), ("TONE_", TONE_MAPS), ("MAP_", displays.COLOR_MAPS), ("", COMPARISONS), ("", OVERLAYS)
+    for prefix, listed in (*numbered, ("", differences.DIFFERENCES)):
+        for number, name in enumerate(listed):
+            yield f"#define {prefix}{name.split()[0].upper()} {number}"
+    yield f"#define MAPS {len(displays.COLOR_MAPS)}"
+    for name, color in zip(("NEGATIVE", "CLIPPED"), CLIPPING.values(), strict=True):
+        yield f"#define {name} vec3{color}"
 
 
 class Canvas:

@@ -10,9 +10,8 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.inspection import names
-from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.messages import Failure, Frame
-from ..engine.sources.opening import Preview
 from ..engine.sources.source import FrameSource
 from ..engine.store import Store, Want
 from .canvas import Canvas
@@ -279,13 +278,6 @@ class Screen:
     def ready(self) -> bool:
         """Whether all images are on the canvas."""
         return self._changes == self._contents.changes
-
-    def preview(self, preview: Preview) -> None:
-        """Show a preview on the canvas before there are contents."""
-        if self.canvas is not None:
-            self.canvas.frame = FrameInfo(preview.color.shape[1::-1], exposure=preview.exposure)
-            self.canvas.upload(names.FINAL, preview.color, FRAME_LAYERS[names.FINAL])
-            self._uploaded.add(names.FINAL)
 
     def update(self, first: set[str]) -> None:
         """Upload the images of the contents that are not on the canvas yet, and remove all others, which belong to

@@ -7,32 +7,8 @@
    (-1: no such layer), SMOOTH (1: drawn smaller, with mipmaps), CHANNEL (-1: all), TONE_MAP; and COMPARE, OVERLAY,
    GRID (1: there are lines between pixels), MARKED (1: pixels of the input are invalid). All else is uniforms. */
 
-/* Order of VIEWS (layers.py), TONE_MAPS (displays.py), COLOR_MAPS (colors.py), COMPARISONS and OVERLAYS (view.py),
-   DIFFERENCES (differences.py). */
-#define COLOR 0
-#define DEPTH 1
-#define MOTION 2
-#define PLACE 3
-#define WORLD 4
-#define MASK 5
-#define LABEL 6
-#define SCALAR 7
-#define TONE_REINHARD 1
-#define TONE_ACES 2
-#define TONE_LINEAR 3
-#define MAP_HEAT 3
-#define MAP_DIVERGING 4
-#define MAPS 5
-#define DIFFERENCE 2
-#define ERROR 4
-#define ABSOLUTE 0
-#define SIGNED 1
-#define RELATIVE 2
-#define EDGES 1
-#define RESIDUAL 2
-#define CLIPPING 3
-#define NEGATIVE vec3(0.1, 0.35, 1.0)  /* as CLIPPING of view.py has them */
-#define CLIPPED vec3(1.0, 0.15, 0.1)
+/* COLOR, TONE_ACES, MAP_HEAT, ERROR, SIGNED, EDGES and so on are the places in VIEWS (layers.py), TONE_MAPS and COLOR_MAPS
+   (displays.py), COMPARISONS and OVERLAYS (view.py) and DIFFERENCES (differences.py): canvas.py defines them. */
 
 /* Edges, from where they begin to show to where they are full: second difference of inverse depth, relative (planes
    have none), and of motion, pixels; first difference of displayed brightness. */

@@ -294,10 +294,15 @@ def shown_values(
         if view == "world":
             if depth is None or frame is None or frame.source is None:
                 return None
-            values = _distances(values, uv, depth, frame.source)[:, None]
+            rows, columns = (uv[:, 1] * depth.shape[0]).astype(int), (uv[:, 0] * depth.shape[1]).astype(int)
+            z = depth[rows, columns].astype(np.float64)
+            by, known = off_fragments(values, uv, z, depth.shape[::-1], frame.source)
+            values = np.linalg.norm(by, axis=-1)
+            values = values[known & np.isfinite(values) & (values > 1e-4 * z)][:, None]
         elif view in ("motion", "place"):
             if view == "place":
-                values = _displacements(values, uv, (frame or FrameInfo((width, height))).own_place(spec))
+                by, there = displaced(values, uv, (frame or FrameInfo((width, height))).own_place(spec))
+                values = by[there]
             values = np.hypot(values[:, :1], values[:, 1:2])
         elif view == "color" and channel < 0:
             values = values[:, :3]
@@ -307,21 +312,20 @@ def shown_values(
     return values[values[:, 0] > 0] if view == "depth" else values
 
 
-def _distances(values: np.ndarray, uv: np.ndarray, depth: np.ndarray, camera: Camera) -> np.ndarray:
-    """Return the distance in world units between positions (N, 4) in view space and the points by `depth` at their
-    pixels, where known and different."""
-    height, width = depth.shape
-    z = depth[(uv[:, 1] * height).astype(int), (uv[:, 0] * width).astype(int)].astype(np.float64)
-    rays = (uv * (width, height) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    distance = np.linalg.norm(values[:, :3] - np.insert(rays, 2, 1.0, axis=1) * z[:, None], axis=-1)
-    return distance[(values[:, 3] != 0) & np.isfinite(distance) & (distance > 1e-4 * z)]
+def off_fragments(
+    values: np.ndarray, uv: np.ndarray, z: np.ndarray, size: tuple[int, int], camera: Camera
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return (N, 3), world units: positions (N, 4) in view space from the points at depth `z` (N,) of their pixels in
+    an image of `size`; and (N,) bool, whether both are known."""
+    rays = (uv * size - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    return values[:, :3] - np.insert(rays, 2, 1.0, axis=1) * z[:, None], (values[:, 3] != 0) & np.isfinite(z)
 
 
-def _displacements(values: np.ndarray, uv: np.ndarray, own: tuple[float, ...]) -> np.ndarray:
-    """Return (M, 2) pixels: the displacements of the places (N, 2 …) that there are from where they are stored; `own`
-    as in `FrameInfo`."""
+def displaced(values: np.ndarray, uv: np.ndarray, own: tuple[float, ...]) -> tuple[np.ndarray, np.ndarray]:
+    """Return (N, 2), pixels: the displacements of places (N, 2 …) from where they are stored; and (N,) bool, whether
+    there are any; `own` as in `FrameInfo`."""
     there = values[:, 2] > 0 if values.shape[1] > 2 else (values != 0).any(-1)
-    return (values[:, :2] - (uv * own[:2] + own[2:]))[there]
+    return values[:, :2] - (uv * own[:2] + own[2:]), there
 
 
 def _with_range(display: Display, values: np.ndarray, depth: bool = False) -> Display:

@@ -8,7 +8,7 @@ from collections import deque
 import numpy as np
 
 from gffe_cl.engine.inspection.layers import LayerSpec
-from ..engine.background import Derived
+from ..engine.background import Background, Derived
 from ..engine.messages import Frame
 from .current_frame import Contents
 from .displays import FrameInfo
@@ -29,9 +29,9 @@ class InvalidPixels:
         Display pixels (x, y) of the layer A that are invalid, row by row, once they are known.
     """
 
-    def __init__(self, view: View, contents: Contents):
+    def __init__(self, view: View, contents: Contents, background: Background):
         self._view, self._contents = view, contents
-        self._derived = Derived("invalid")
+        self._derived = Derived(background)
         self._seen = -1
         self.places = np.empty((0, 2), int)
 
@@ -79,9 +79,6 @@ class InvalidPixels:
         later = starts[(starts[:, 1] > y) | ((starts[:, 1] == y) & (starts[:, 0] > x))]
         found = later[0] if len(later) else starts[0]
         return int(found[0]), int(found[1])
-
-    def close(self) -> None:
-        self._derived.close()
 
 
 def bad_values(spec: LayerSpec, image: np.ndarray) -> np.ndarray:

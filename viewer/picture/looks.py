@@ -9,7 +9,7 @@ import numpy as np
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
-from ..engine.background import Derived
+from ..engine.background import Background, Derived
 from .current_frame import Contents
 from .displays import Display, FrameInfo, default_display, fitted, shown_as, shown_values
 from .view import View
@@ -140,9 +140,9 @@ class Histogram:
         None until they are known, and where there is nothing to count.
     """
 
-    def __init__(self, view: View, contents: Contents, looks: Looks):
+    def __init__(self, view: View, contents: Contents, looks: Looks, background: Background):
         self._view, self._contents, self._looks = view, contents, looks
-        self._derived = Derived("histogram")
+        self._derived = Derived(background)
         self.counts: Counts | None = None
         self.log = False
 
@@ -183,9 +183,6 @@ class Histogram:
             self._looks.change(name, low=min(value, display.high))
         else:
             self._looks.change(name, high=max(value, display.low))
-
-    def close(self) -> None:
-        self._derived.close()
 
 
 def counted(

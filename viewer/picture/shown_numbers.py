@@ -12,7 +12,7 @@ from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import to_display
 from .current_frame import Contents
 from .differences import FLIP_MAP, FLIP_SPEC, difference, error
-from .displays import Display, FrameInfo, shown_as
+from .displays import Display, FrameInfo, displaced, off_fragments, shown_as
 from .view import View
 
 
@@ -76,16 +76,12 @@ class Texels:
         height, width = self.image.shape[:2]
         uv = np.stack([(columns + 0.5) / width, (rows + 0.5) / height], -1)
         if view == "place":
-            own = self.frame.own_place(self.spec)
-            there = values[:, 2] > 0 if values.shape[1] > 2 else (values != 0).any(-1)
-            by = values[:, :2] - (uv * own[:2] + own[2:])
+            by, there = displaced(values, uv, self.frame.own_place(self.spec))
+        elif self.depth is None or self.frame.source is None:
+            return np.full((len(values), 3), np.nan)
         else:
-            camera = self.frame.source
-            if self.depth is None or camera is None:
-                return np.full((len(values), 3), np.nan)
-            z = self.depth[rows, columns].astype(np.float64)[:, None]
-            rays = (uv * (width, height) - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-            there, by = (values[:, 3] != 0) & np.isfinite(z[:, 0]), values[:, :3] - np.insert(rays, 2, 1.0, axis=1) * z
+            z = self.depth[rows, columns].astype(np.float64)
+            by, there = off_fragments(values, uv, z, (width, height), self.frame.source)
         return np.where(there[:, None], by, np.nan)
 
     def _display_values(self, values: np.ndarray, channel: int) -> np.ndarray:

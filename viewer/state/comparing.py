@@ -13,7 +13,7 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import METRICS
-from ..engine.background import Derived
+from ..engine.background import Background, Derived
 from ..engine.engine import Engine
 from ..picture.current_frame import Contents
 from ..picture.differences import DIFFERENCES, FLIP_MAP, FLIP_SPEC, flip_map
@@ -33,7 +33,7 @@ _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}
 class Comparison:
     """Comparison of A and B of a view; "flip error" is a map that is computed on the host."""
 
-    def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings):
+    def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings, background: Background):
         self._view, self._contents, self._looks, self._settings = view, contents, looks, settings
         self._by_settings = False
         self.same_settings = False  # B's settings are A's
@@ -42,7 +42,7 @@ class Comparison:
         self.flip_map: np.ndarray | None = None  # of FLIP errors, as it is shown
         self._nothing = False  # A or B does not exist for this frame
         self._flip_missing = METRICS["flip"].missing()
-        self._maps = Derived("flip")
+        self._maps = Derived(background)
         self._truth_instead_of = names.FINAL
 
     def why_not(self, way: str) -> str | None:
@@ -247,9 +247,6 @@ class Comparison:
             view.b = saved["b"]
         elif view.compare != "off":
             view.compare = "off"
-
-    def close(self) -> None:
-        self._maps.close()
 
     def _usual_b(self) -> str:
         usual = names.TRUTH if self._contents.why_not(names.TRUTH) is None else names.RENDERED_COLOR

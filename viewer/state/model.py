@@ -9,9 +9,9 @@ from pathlib import Path
 from typing import Any
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.options import Options
+from ..engine.background import Background
 from ..engine.doctor_worker import Doctor
 from ..engine.figures import Figures, Measurements, Timings
 from ..engine.messages import Failure, Key, Recipe, Setup
@@ -19,101 +19,112 @@ from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Want
 from ..picture.current_frame import Picture, Screen, Showing
-from ..picture.displays import Display
 from ..picture.invalid import InvalidPixels
-from ..picture.looks import Histogram, Looks
+from ..picture.looks import Histogram
 from ..picture.shown_numbers import largest
-from ..picture.view import View
-from .captions import Captions
-from .comparing import BUILD_LETTERS, Comparison, Sides
-from .navigation import Flights, Framing, Pointing, Walk
-from .opening import Opening
-from .presets import Kept, KeptSettings
+from .captions import Captions, Message
+from .choices import Choices
+from .comparing import BUILD_LETTERS, Sides
+from .document import Document
+from .navigation import Flights, Pointing, Walk
+from .playback import Playback
 from .saving import Saving, Subject
 from .settings import Settings
 from .studies import Here, Studies
 from .survey import Side, Survey
-from .wanting import Ahead, Needed
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
 
 
-class Model(Opening):
-    """State of the viewer.
+class Model:
+    """State of the viewer: the open `document`, the `choices` of the user, and what follows from both.
 
     `update` is called once per frame of the interface; everything else is called by panels and actions in between.
     """
 
     def __init__(
-        self, settings: Settings, *, device: str | None = None, n: int = 1, window: str | None = None,
-        plan: ScenePlan = _SCENES, options: Options = _OPTIONS, save_settings: bool = True,
-        check: bool = False, cache_mib: int = CACHE_MIB, start: bool = True,
-    ):  # fmt: skip
-        super().__init__(options, n, window, device, plan, check, cache_mib)
-        self.settings, self._save_settings = settings, save_settings
+        self,
+        settings: Settings,
+        *,
+        device: str | None = None,
+        n: int = 1,
+        window: str | None = None,
+        plan: ScenePlan = _SCENES,
+        options: Options = _OPTIONS,
+        save_settings: bool = True,
+        check: bool = False,
+        cache_mib: int = CACHE_MIB,
+        start: bool = True,
+    ):
+        self.playback, self.settings, self._save_settings = Playback(n=n), settings, save_settings
+        self.document = document = Document(self.playback, device, plan, check, cache_mib)
+        self.engine, self.store, self.contents = document.engine, document.store, document.contents
         if start:  # else there is no device, and nothing can be opened
             self.engine.start()
-        self.ahead = Ahead(self.store, self.playback)
-        self.view = View(names.FINAL, Display())
-        self.framing = Framing(self.view)
-        self.looks = Looks(self.contents, settings.displays)
+        self._background = beside = Background("beside")  # of all that follows from what is shown
+        self.choices = choices = Choices(settings, options, self.playback, window, self.contents, beside)
+        self.view, self.framing, self.looks = choices.view, choices.framing, choices.looks
+        self.parameters, self.kept, self.comparison = choices.parameters, choices.kept, choices.comparison
+        self.messages: list[Message] = []
         self.screen = Screen(self.contents)
-        self.kept = KeptSettings()
-        self.comparison = Comparison(self.view, self.contents, self.looks, self.kept)
-        self.histogram = Histogram(self.view, self.contents, self.looks)
-        self.invalid = InvalidPixels(self.view, self.contents)
+        self.histogram = Histogram(self.view, self.contents, self.looks, beside)
+        self.invalid = InvalidPixels(self.view, self.contents, beside)
         self.showing = Showing(self.store, self.contents, self._fail)
-        self.measured = Measurements()
+        self.measured = Measurements(beside)
         self.survey = Survey(self.store, self.measured, self.playback)
-        self.studies = Studies(self.store, self.measured.background)
+        self.studies = Studies(self.store, beside)
         self.pointing = Pointing(self.store, self.contents)
         self.walk = Walk(self.view, self.contents, self.playback, self.pointing)
         self.sides = Sides(self.engine, self.parameters, self.kept, self.comparison, self.say)
         self.captions = Captions(self.contents, self.view, self.looks, self.comparison, self.playback)
-        shown, settled = self.comparison.shown, lambda: self.settled
-        subject = Subject(self.contents, self.playback, self.view, shown, settled)
+        subject = Subject(self.contents, self.playback, self.view, self.comparison.shown, lambda: self.settled)
         self.saving = Saving(subject, self.say)
-        self.needed = Needed(self.view, self.contents)
         self.flights = Flights(self.contents, self.playback)
-        self.overview = False
-        self.arrows = False
-        self.measuring = False
-        self.doctor: Doctor | None = None  # of the open source, once requested
         self._inspection_fault = ""
         self.timings = Timings()
         self.recipe = self.engine.recipe(self.setup)
         self._stopped: Picture | None = None  # by the user, while it was made
         self._closed = False
-        self.playback.restore(settings.playback)
-        self.parameters.restore(settings.options)
-        self.comparison.restore(settings.compare)
-        self.kept.restore(settings.kept)
 
     # ---- opening -----------------------------------------------------------------------------------------
 
+    @property
+    def source(self) -> Any:
+        """Return the open FrameSource, or None."""
+        return self.contents.source
+
+    def open(self, target: str) -> None:
+        """Open a folder with a sequence, or the built-in scene of that name, in the background; `update` notices when
+        it is open."""
+        self.document.open(target, self.parameters.window)
+
+    def reload(self) -> None:
+        """Open the present source again, and stay at the same slot."""
+        self.document.keep_place = True
+        self.open(self.document.target)
+
     def opened(self, source: FrameSource) -> None:
-        self.contents.open(source)
+        document, keep_place = self.document, self.document.keep_place
+        document.take(source)
         self.parameters.open(source)
-        self.notice, self.reload_fault, self._target = "", "", source.target
-        for part in (self.showing, self.ahead, self.measured, self.survey, self.studies, self.walk):
+        for part in (self.showing, self.measured, self.survey, self.studies, self.walk):
             part.forget()
         self.saving.cancel()
-        self.playback.open(source.count, source.fps, self.times(source.count), keep=self.keep_place)
+        self.playback.open(source.count, source.fps, document.times(source.count), keep=keep_place)
         self.pointing.open(self.contents.size)
-        self.doctor = None
-        if self.keep_place and self.flying:
+        if keep_place and self.flying:
             self.playback.play()  # at another render rate, from where the camera is
         else:
             self.flights.flyer = None
-        if not self.keep_place:
+        if not keep_place:
             self.looks.forget()
             self.timings = Timings()
         self.comparison.drop_missing()
-        self.framing.due = not self.keep_place
-        self.keep_place = False
+        self.framing.due = not keep_place
+        document.keep_place = False
         if source.target and not source.live:
-            self.settings.add_recent(Path(self._target).expanduser())
+            self.settings.add_recent(Path(source.target).expanduser())
 
     # ---- one frame of the interface after the other ----------------------------------------------------------
 
@@ -121,9 +132,6 @@ class Model(Opening):
         """Take what is there, and say what is wanted. `now`: seconds of the playback clock; `canvas`: None without a
         window."""
         self.screen.canvas = canvas
-        if self.previewer is not None and (preview := self.previewer.take()) is not None:
-            self.preview = preview
-            self.screen.preview(preview)
         if (opened := self.engine.source) is not None and opened is not self.source:
             self.opened(opened)
         if self.source is not None:
@@ -143,18 +151,21 @@ class Model(Opening):
         self._take_values()
         if self.showing.update(due, self._passes and not self.stopped, self.screen.ready or result is None):
             self._shown()
-        self._derive(canvas)
+        self.invalid.update(canvas, self.playback.playing)
+        if fault := self.comparison.update(canvas):
+            self.say(fault, error=True)
         self.store.leave(sum(nbytes for name, nbytes in self.held.items() if name != "frames"))
         self.store.want(self._wants(now))
         self.saving.advance(canvas)
 
     def _follow_source(self) -> None:
         """Take over another render rate that was chosen, and more frames of the source."""
-        if self.source.live and self.parameters.render_rate != self.plan.fps:
-            self.plan = self.plan._replace(fps=self.parameters.render_rate)
+        document = self.document
+        if self.source.live and self.parameters.render_rate != document.plan.fps:
+            document.plan = document.plan._replace(fps=self.parameters.render_rate)
             self.reload()
         if (count := self.source.count) != self.playback.count:
-            self.playback.extend(count, self.times(count))
+            self.playback.extend(count, document.times(count))
 
     @property
     def _passes(self) -> bool:
@@ -162,15 +173,9 @@ class Model(Opening):
         return self.playback.playing or self.playback.scrubbing or self.flying
 
     @property
-    def _kept_b(self) -> Kept | None:
-        """B's settings while anything of them is shown."""
-        return None if self.overview else self.comparison.second
-
-    @property
     def _layers(self) -> frozenset[str]:
         """Names of layers of A that are read back now."""
-        layers = self.needed.all() if self.overview else self.needed.of_first(self.measuring)
-        return layers | (self.saving.work.layers if self.saving.work is not None else frozenset())
+        return self.choices.layers() | (self.saving.work.layers if self.saving.work is not None else frozenset())
 
     def _due(self, slot: int) -> Picture:
         """Return the picture of a slot, as it is looked at now."""
@@ -182,13 +187,13 @@ class Model(Opening):
                 return Want(Key(replace(recipe, flight=flyer.flight), slot), layers, keep=False, pose=flyer.pose)
             return Want(Key(recipe, slot), layers)
 
-        kept = self._kept_b
-        if kept is None:
+        setup = self.choices.second
+        if setup is None:
             self.comparison.same_settings = False
             return Picture(want(self.recipe, layers))
-        second = self.engine.recipe(kept.setup(self.n))
+        second = self.engine.recipe(setup)
         self.comparison.same_settings = second == self.recipe
-        return Picture(want(self.recipe, layers), want(second, self.needed.of_second(self.measuring)))
+        return Picture(want(self.recipe, layers), want(second, self.choices.layers_of_second()))
 
     def _wants(self, now: float) -> list[Want]:
         """Return everything that is wanted of the engine, the most urgent first."""
@@ -199,21 +204,20 @@ class Model(Opening):
         if awaited is not None and self.inspects and not self.showing.failed:
             wants += self.pointing.wants(awaited.a.key)
         wants += showing.following
-        result, beside = self.contents.result, not (self.flying or self.overview or self.saving.work)
+        result, beside = self.contents.result, not (self.flying or self.choices.overview or self.saving.work)
         kept = self.kept.b
         idle = not (self.flying or self.saving.work or self.playback.playing) and not showing.is_waiting
         a = Side(self.setup, self.recipe)
         b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
-        here = Here(
-            self.slot, a, b, tuple(self.contents.layers), self.view.a, self.pointing.picked,
-            range(self.playback.first, self.playback.last + 1), self.source.exposure,
-            self.engine.recipe, self.contents.frame_info,
-        )  # fmt: skip
+        slots, contents = range(self.playback.first, self.playback.last + 1), self.contents
+        shown, exposure = (self.view.a, self.pointing.picked, slots), self.source.exposure
+        info = exposure, self.engine.recipe, contents.frame_info
+        here = Here(self.slot, a, b, tuple(contents.layers), *shown, *info)
         wants += self.studies.update(here, idle and result is not None)
         if awaited is not None and result is not None:
             others = set() if awaited.b is None else {awaited.b.key.recipe}
             may_run = beside and showing.shows_due
-            wants += self.ahead.wants(now, awaited.a, others, result.nbytes, may_run)
+            wants += self.document.ahead.wants(now, awaited.a, others, result.nbytes, may_run)
         self.survey.resets = sorted({0, *self.contents.resets})
         wants += self.survey.update(a, b if self.comparison.by_settings else None, self.source.exposure, idle)
         return wants
@@ -229,55 +233,42 @@ class Model(Opening):
             self.say(fault, error=True)
         self.measured.faults.clear()
 
-    def _derive(self, canvas) -> None:
-        """Find what follows from the images that are shown."""
-        self.invalid.update(canvas, self.playback.playing)
-        if fault := self.comparison.update(canvas):
-            self.say(fault, error=True)
-
     def _shown(self) -> None:
         """Note what follows from another picture that is shown."""
         result, second = self.contents.result, self.contents.second
         assert result is not None
-        self.failure = None
-        self.previewer = self.preview = None
-        if self.measuring:
+        self.document.failure = None
+        if self.choices.measuring:
             for made in filter(None, (result, second)):
                 self.measured.measure(made, self.source.exposure)
         self._upload()
         self.timings.add(result)
 
     def _upload(self) -> None:
-        if self.preview is None:
-            self.screen.update({self.view.a, self.view.b or self.view.a})
+        self.screen.update({self.view.a, self.view.b or self.view.a})
 
     def _fail(self, failure: Failure, of_b: bool) -> None:
         """Take notice that A or B of the awaited picture cannot be made."""
         if of_b:
             self.say(f"B: {failure.error}", error=True)
             return
-        self.failure = failure.error
+        self.document.failure = failure.error
         if failure.during == "network":  # goes on without it, until it is switched on again
             self.say(f"shading correction is off: {failure.error}", error=True)
             self.parameters.network_fault = failure.error
-            self.failure = None
+            self.document.failure = None
         else:
             self.say(failure.error, error=True)
             self.playback.pause()
-        self.previewer = self.preview = None
         self.saving.cancel()
 
     def _failed(self, failure: Failure) -> None:
         """Take notice of a failure of anything but a picture."""
-        self.failure = failure.error
+        self.document.fail(failure.error, failure.during == "source")
         self.say(failure.error, error=True)
-        self.notice = failure.error if self.source is None else ""
         if failure.during == "source":
-            self.reload_fault = failure.error if self.keep_place else self.reload_fault
             self.playback.pause()
             self.saving.cancel()
-        self.keep_place = False
-        self.previewer = self.preview = None
 
     def go_to(self, find: Callable[[], int | None]) -> None:
         """Go to the slot that `find`, a method of the survey, gives, and show a message about it."""
@@ -325,12 +316,6 @@ class Model(Opening):
     @property
     def setup(self) -> Setup:
         return self.parameters.setup
-
-    @property
-    def warnings(self) -> list[str]:
-        """Warnings about the open source and the displayed frame."""
-        result = self.contents.result
-        return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
 
     def stop_computing(self) -> None:
         """Give up the picture that is being made, and playing, until another one is due; a second call goes on with
@@ -405,14 +390,7 @@ class Model(Opening):
     @property
     def states(self) -> list[str]:
         """Return what keeps the picture from being that of the files on disk, as long as it does."""
-        found, built = [], self.recipe.kernels[:BUILD_LETTERS]
-        if self.engine.build_error:
-            found.append(f"kernels on disk do not build: build {built} is shown")
-        if self.reload_fault:
-            found.append(f"reading it again failed: {self.reload_fault}. The earlier version is shown")
-        if self.source is not None and self.source.changed_on_disk:
-            found.append("files on disk have changed: Ctrl+R reads them again")
-        return found
+        return self.document.states(self.recipe.kernels[:BUILD_LETTERS])
 
     def set(self, name: str, value: Any) -> None:
         """Set a parameter. Invalid values give a message."""
@@ -437,25 +415,30 @@ class Model(Opening):
 
     # ---- telling -------------------------------------------------------------------------------------------
 
+    def say(self, text: str, error: bool = False) -> None:
+        self.messages = [*self.messages[-20:], Message(text, "error" if error else "note")]
+
+    def lately(self, now: float, seconds: dict[str, float]) -> list[Message]:
+        """Return the messages that were shown first at most `seconds` ago, which are given by their kind."""
+        found = []
+        for message in self.messages:
+            message.since = now if message.since is None else message.since
+            if now - message.since < seconds.get(message.kind, 0.0):
+                found.append(message)
+        return found
+
+    def dismiss_messages(self) -> None:
+        """Take all messages away that stand over the picture."""
+        for message in self.messages:
+            message.dismissed = True
+
     def examine(self) -> None:
         """Have the doctor look at the sequence."""
-        self.doctor = Doctor(self.source.sequence)
-
-    @property
-    def marks(self) -> dict[int, str]:
-        """Rendered frames with findings of the doctor."""
-        return self.doctor.marks if self.doctor is not None else {}
+        self.document.doctor = Doctor(self.source.sequence)
 
     def remember(self, window_size: tuple[int, int]) -> None:
         """Write the settings."""
-        if not self._save_settings:
-            return
-        self.settings.window_size = window_size
-        self.settings.playback = self.playback.preferences()
-        self.settings.options = self.parameters.preferences()
-        self.settings.compare = self.comparison.preferences()
-        self.settings.kept = self.kept.preferences()
-        warning = self.settings.save()
+        warning = self.choices.remember(window_size) if self._save_settings else None
         if warning:
             print(warning, file=sys.stderr)
 
@@ -465,8 +448,8 @@ class Model(Opening):
             return
         self._closed = True
         self.saving.close()
-        for part in (self.comparison, self.invalid, self.histogram, self.measured, self.engine):
-            part.close()
+        self._background.close()
+        self.engine.close()
 
     @property
     def left_working(self) -> bool:

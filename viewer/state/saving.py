@@ -157,101 +157,63 @@ class Subject:
 
 
 class Work:
-    """A save in progress: `done` of `total`; `layers` are read back for it; `advance` is called once per frame of
-    the interface until `finished`. Then `outcome` is a message, if any, and `failed` an error. Files are written on
-    a thread."""
+    """A save in progress: `done` of `total`; `layers` are read back for it."""
 
-    def __init__(self, subject: Subject, path: Path, total: int):
-        self.subject, self.path, self.done, self.total = subject, path, 0, total
-        self.finished = self.failed = False
-        self.outcome: str | None = None
-        self._background = Background("saving")
-        self._writing: Future | None = None
-
-    @property
-    def label(self) -> str:
-        return f"→ {self.path.name}"
+    def __init__(self, subject: Subject, stem: str, suffix: str):
+        self.subject, self.path = subject, subject.unused(f"{subject.slot:05d}_{stem}", suffix)
+        self.done, self.total, self.cancelled = 0, 1, False
 
     @property
     def layers(self) -> set[str]:
         return set()
 
-    def advance(self, canvas) -> None:
-        if self._writing is not None and self._writing.done():
-            error = self._writing.exception()
-            self.failed = error is not None
-            self.outcome = self._writing.result() if error is None else str(error) or repr(error)
-            self.finished = True
-            self._background.close()
-        else:
-            self._proceed(canvas)
-
-    def cancel(self) -> None:
-        """Stop if possible; `finished` then becomes true."""
-
-    def close(self) -> None:
-        """Cancel as the viewer ends: nothing half done is left, unless it takes more than five seconds to stop."""
-        self.cancel()
-        if self._writing is not None:
-            wait([self._writing], _PATIENCE)
-
-    def _proceed(self, canvas) -> None:
+    def job(self, canvas) -> Callable[[], str] | None:
+        """Return what writes the files and returns a message, once everything is there for it. It runs on a thread."""
         raise NotImplementedError
-
-    def _count(self) -> None:
-        """Count another one that is written."""
-        self.done += 1
-
-    def _start(self, write: Callable[[], str]) -> None:
-        """Run `write`, which returns a message, on the thread."""
-        self._writing = self._background.run(write)
 
 
 class PictureWork(Work):
     """Saving of the view as it is compared and displayed, one display pixel to a pixel, as PNG."""
 
     def __init__(self, subject: Subject):
-        super().__init__(subject, subject.unused(f"{subject.slot:05d}_{subject.view.a}", ".png"), 1)
+        super().__init__(subject, subject.view.a, ".png")
 
-    def _proceed(self, canvas):
-        if self._writing is None:
-            pixels, self.done = self.subject.picture(canvas), 1
-            self._start(lambda: self._write(pixels))
+    def job(self, canvas) -> Callable[[], str]:
+        pixels, self.done = self.subject.picture(canvas), 1
 
-    def _write(self, pixels: np.ndarray) -> str:
-        save_png(self.path, pixels)
-        return f"saved {self.path}"
+        def write() -> str:
+            save_png(self.path, pixels)
+            return f"saved {self.path}"
+
+        return write
 
 
 class LayersWork(Work):
     """Saving of all layers of the present slot as EXR files in a new folder."""
 
     def __init__(self, subject: Subject):
-        super().__init__(subject, subject.unused(f"{subject.slot:05d}_layers", ""), 1)
+        super().__init__(subject, "layers", "")
         subject.playback.pause()
-        self._cancelled = False
 
     @property
-    def layers(self):
+    def layers(self) -> set[str]:
         return {spec.name for spec in self.subject.contents.showable()}
 
-    def cancel(self):
-        self._cancelled = True
+    def job(self, canvas) -> Callable[[], str] | None:
+        if not (self.subject.settled() and self.layers <= self.subject.contents.asked):
+            return None
+        result = self.subject.contents.result
+        assert result is not None  # it is settled
+        self.total = len(result.images)
 
-    def _proceed(self, canvas):
-        if self._writing is not None:
-            return
-        if self._cancelled:
-            self.finished = True
-        elif self.subject.settled() and self.layers <= self.subject.contents.asked:
-            result = self.subject.contents.result
-            assert result is not None  # it is settled
-            self.total = len(result.images)
-            self._start(lambda: self._write(result))
+        def write() -> str:
+            saved = save_layers_exr(self.path, result.images, result.specs, lambda: self.cancelled, self._count)
+            return f"saved {len(saved)} layers in {self.path}" if saved else "saving the layers was cancelled"
 
-    def _write(self, result) -> str:
-        saved = save_layers_exr(self.path, result.images, result.specs, lambda: self._cancelled, self._count)
-        return f"saved {len(saved)} layers in {self.path}" if saved else "saving the layers was cancelled"
+        return write
+
+    def _count(self) -> None:
+        self.done += 1
 
 
 class Saving:
@@ -262,6 +224,8 @@ class Saving:
         self.subject, self._say = subject, say
         self.work: Work | None = None
         self.saved: Path | None = None
+        self._background = Background("saving")
+        self._writing: Future[str] | None = None
 
     def choose_folder(self, place: str) -> None:
         """Save into another folder from now on."""
@@ -271,27 +235,32 @@ class Saving:
         self._say(f"saves into {folder}" if folder.is_dir() else f"{folder}: no such folder", not folder.is_dir())
 
     def start(self, work: Callable[[Subject], Work]) -> None:
-        """Start saving in the background, or say why there is nothing to save."""
-        try:
-            self.work = work(self.subject)
-        except GffeError as error:
-            self._say(str(error), True)
+        """Start saving in the background."""
+        self.work, self._writing = work(self.subject), None
 
     def advance(self, canvas) -> None:
         """Go on with it. Call once per frame of the interface."""
-        if self.work is None:
+        work = self.work
+        if work is None:
             return
-        self.work.advance(canvas)
-        if self.work.finished:
-            self.saved = self.work.path if self.work.path.exists() else self.saved
-            if self.work.outcome:
-                self._say(self.work.outcome, self.work.failed)
+        if self._writing is None:
+            job = None if work.cancelled else work.job(canvas)
+            self._writing = None if job is None else self._background.run(job)
+            self.work = None if work.cancelled else work
+        elif self._writing.done():
+            error = self._writing.exception()
+            self.saved = work.path if work.path.exists() else self.saved
+            self._say(self._writing.result() if error is None else str(error) or repr(error), error is not None)
             self.work = None
 
     def cancel(self) -> None:
+        """Stop if possible; `work` then becomes None."""
         if self.work is not None:
-            self.work.cancel()
+            self.work.cancelled = True
 
     def close(self) -> None:
-        if self.work is not None:
-            self.work.close()
+        """Cancel as the viewer ends: nothing half done is left, unless it takes more than five seconds to stop."""
+        self.cancel()
+        if self._writing is not None:
+            wait([self._writing], _PATIENCE)
+        self._background.close()

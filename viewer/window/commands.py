@@ -109,7 +109,7 @@ def _look(app: App, change: str, *values: float) -> None:
 def _copy_command(app: App, of_b: bool = False) -> None:
     model, kept = app.model, app.model.kept.b if of_b else None
     setup = model.setup if kept is None else kept.setup(model.n)
-    app.copy(printable(command_line(setup, model.source, model.plan.seed)))
+    app.copy(printable(command_line(setup, model.source, model.document.plan.seed)))
 
 
 def _take_b(app: App) -> None:
@@ -162,8 +162,8 @@ ACTIONS = (
     Action("previous_layer", "Previous layer", "View", "Up", lambda app: app.model.walk.next_layer(-1), opened,
            repeat=True),
     Action("next_channel", "Next channel", "View", "C", lambda app: _look(app, "next_channel"), opened),
-    Action("overview", "Overview of all layers", "View", "O", lambda app: _toggle(app.model, "overview"), opened,
-           lambda app: app.model.overview),
+    Action("overview", "Overview of all layers", "View", "O",
+           lambda app: _toggle(app.model.choices, "overview"), opened, lambda app: app.model.choices.overview),
     Action("mark_invalid", "Mark invalid pixels", "View", "", lambda app: _toggle(app.model.view, "mark_invalid"),
            checked=lambda app: app.model.view.mark_invalid,
            tooltip="A pattern over NaN, infinity, and pixels that the input has invalid"),

@@ -6,9 +6,8 @@ from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
 
 from gffe_cl.lab.metrics import METRICS
-from ..picture.differences import DIFFERENCES, FLIP_SPEC
+from ..picture.differences import DIFFERENCES
 from ..picture.view import ERRORS
-from ..state.captions import legend
 from ..state.comparing import FLIP_HIGH
 from ..state.model import Model
 from . import widgets
@@ -111,7 +110,6 @@ def _error_map(model: Model) -> None:
     widgets.slider(
         "brightest", comparison.brightest, 0.01, 1.0, usual, lambda v: setattr(comparison, "brightest", v), "%.2f"
     )
-    widgets.show_legend(legend(FLIP_SPEC, model.comparison.error_display))
 
 
 def _quality(model: Model) -> None:
@@ -122,8 +120,8 @@ def _quality(model: Model) -> None:
         return
     widgets.toggle(
         "measure",
-        model.measuring,
-        lambda on: setattr(model, "measuring", on),
+        model.choices.measuring,
+        lambda on: setattr(model.choices, "measuring", on),
         f"{', '.join(metric.label for metric in METRICS.values())} of every generated frame that is shown",
     )
     survey = model.survey
@@ -134,5 +132,5 @@ def _quality(model: Model) -> None:
         imgui.text_wrapped(f"A  {a}" if second else a)
         if second is not None:
             imgui.text_wrapped(f"B  {_beside(second.values, score.values)}")
-    elif model.measuring and model.slot % (model.n + 1) == 0:
+    elif model.choices.measuring and model.slot % (model.n + 1) == 0:
         imgui.text_disabled("rendered frame")

@@ -15,7 +15,7 @@ _AMBER, _GRAY = ImVec4(0.9, 0.7, 0.3, 1.0), ImVec4(0.6, 0.6, 0.62, 1.0)
 
 def draw(app: App) -> None:
     model = app.model
-    doctor = model.doctor
+    doctor = model.document.doctor
     widgets.action_button(app.actions, "doctor", icons.ICON_FA_STETHOSCOPE)
     imgui.same_line()
     if doctor is None:
@@ -31,10 +31,10 @@ def draw(app: App) -> None:
     else:
         widgets.hint(f"{len(doctor.findings)} finding{'s' * (len(doctor.findings) > 1)}")
     _findings(model, doctor)
-    if model.marks:
+    if model.document.marks:
         widgets.heading("Frames in the wrong place")
         with widgets.in_rows() as row:
-            for frame, reason in model.marks.items():
+            for frame, reason in model.document.marks.items():
                 row(imgui.calc_text_size(f"{frame}").x)
                 if imgui.text_link(f"{frame}###mark {frame}"):
                     model.playback.seek(frame * (model.n + 1))

@@ -29,8 +29,8 @@ def draw(app: App) -> None:
     model = app.model
     widgets.toggle(
         "overview",
-        model.overview,
-        lambda on: setattr(model, "overview", on),
+        model.choices.overview,
+        lambda on: setattr(model.choices, "overview", on),
         "Every layer as a tile; click one to open it",
     )
     widgets.choice("overlay", model.view.overlay, list(_OVERLAYS), lambda name: setattr(model.view, "overlay", name))
@@ -86,7 +86,9 @@ def _display(model: Model) -> None:
             "full length", display.motion_scale, 0.25, 64.0, default_display(spec).motion_scale,
             lambda v: change(motion_scale=v), "%.2f px", "Motion of this length is fully bright",
         )  # fmt: skip
-        widgets.toggle("arrows", model.arrows, lambda on: setattr(model, "arrows", on), "Arrows over the picture")
+        widgets.toggle(
+            "arrows", model.choices.arrows, lambda on: setattr(model.choices, "arrows", on), "Arrows over the picture"
+        )
         imgui.same_line()
         if imgui.get_content_region_avail().x < imgui.calc_text_size("reversed").x + 2 * imgui.get_frame_height():
             imgui.new_line()
@@ -114,7 +116,7 @@ def _display(model: Model) -> None:
         imgui.same_line()
     if imgui.button("reset###reset_display"):
         model.looks.reset(spec.name)
-    widgets.show_legend(legend(spec, display))
+    widgets.swatches(legend(spec, display).labels)
 
 
 def _range(display, change) -> None:

@@ -8,7 +8,6 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.engine.inspection import names
-from ..engine.sources.opening import Preview
 from ..picture.canvas import Rectangle
 from ..picture.shown_numbers import Numbers, numbers_of, texels
 from ..picture.view import View
@@ -41,16 +40,13 @@ def draw(app: App) -> None:
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
     app.foot = origin.x + width / 2, origin.y + height
-    if model.contents.result is None and model.preview is not None:
-        _preview(app, model.preview, origin, (width, height))
-        return
     if model.source is None:
         _welcome(app, size)
         return
     if model.framing.due or (model.framing.is_fitted and app.canvas_size != (width, height)):
         model.framing.fit((width, height), model.contents.size)
     app.canvas_size = width, height
-    if model.overview:
+    if model.choices.overview:
         _overview(app, (width, height))
         return
     view = model.comparison.shown()
@@ -68,7 +64,7 @@ def draw(app: App) -> None:
     stale = app.stale_for(_STILL_FRESH)
     if stale:
         marks.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), imgui.get_color_u32(_GRAY))
-    if model.arrows:
+    if model.choices.arrows:
         _arrows(model, place, marks)
     marked = _numbers(model, view, place, marks)
     _way(model, place, marks)
@@ -76,7 +72,7 @@ def draw(app: App) -> None:
     marks.pop_clip_rect()
     covers = _caption(model, origin, width, height, marks)
     covers += _bars(model, origin, width, height, marks)
-    if not (marked or stale or model.arrows or model.flying or model.pointing.picked):
+    if not (marked or stale or model.choices.arrows or model.flying or model.pointing.picked):
         app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
 
 
@@ -95,23 +91,15 @@ class Placement:
 
 
 def _welcome(app: App, size) -> None:
-    text = app.model.notice or "Drop a sequence here, or open one (Ctrl+O), or a built-in scene (File menu)"
+    notice, doing = app.model.document.notice, app.model.engine.activity
+    text = (
+        f"{notice}   {doing}"
+        if notice
+        else "Drop a sequence here, or open one (Ctrl+O), or a built-in scene (File menu)"
+    )
     wide = imgui.calc_text_size(text)
     imgui.set_cursor_pos(ImVec2(max((size.x - wide.x) / 2, 0), max((size.y - wide.y) / 2, 0)))
     imgui.text_disabled(text)
-
-
-def _preview(app: App, preview: Preview, origin, size) -> None:
-    """Draw the first rendered frame, as long as nothing can be computed."""
-    model, (height, width) = app.model, preview.color.shape[:2]
-    view = View(names.FINAL, model.looks.of(names.FINAL))
-    view.fit(size, (width, height))
-    texture = app.canvas.draw(view, size)
-    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(*size))
-    marks = imgui.get_window_draw_list()
-    state = f"{model.engine.activity} …" if model.engine.activity else model.waiting_text
-    text = f"rendered frame 0   {state}"
-    widgets.label(marks, text, origin.x + 10, origin.y + size[1] - hello_imgui.em_size(1.6))
 
 
 def _mouse(app: App, place) -> None:
@@ -307,7 +295,11 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     label(kind, 10, height - line)
     state = model.comparison.scale_text()
     if not (model.comparison.ready and model.current) or (model.busy and not model.playback.playing):
-        state = model.waiting_text if model.failure is None or model.busy else f"not this frame: {model.failure}"
+        state = (
+            model.waiting_text
+            if model.document.failure is None or model.busy
+            else f"not this frame: {model.document.failure}"
+        )
     if state:
         state = widgets.cut(state, width - 24)
         beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
@@ -412,5 +404,5 @@ def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
         marks.add_rect(ImVec2(left, top), ImVec2(right, bottom), imgui.get_color_u32(_ACCENT), 0, 2.0)
         imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
         if clicked:
-            model.overview = False
+            model.choices.overview = False
             model.show_layer(place.name)

@@ -22,7 +22,7 @@ _FEW = 80  # slots: these are marked one by one
 def draw(app: App) -> None:
     model = app.model
     if model.source is None:
-        imgui.text_disabled(model.notice or "Open a sequence or a scene")
+        imgui.text_disabled(model.document.notice or "Open a sequence or a scene")
         return
     room = imgui.get_content_region_avail()
     is_low = room.y < hello_imgui.em_size(_LOW) and room.x < hello_imgui.em_size(_ONE_ROW)

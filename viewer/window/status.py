@@ -78,7 +78,7 @@ def parts(model: Model) -> list[str]:
     if model.contents.result is not None:
         kept = "from the cache, " if model.from_cache else ""
         told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms{_build(model)}")
-    return [*told, *model.warnings, *_under_pointer(model)]
+    return [*told, *model.document.warnings, *_under_pointer(model)]
 
 
 def _build(model: Model) -> str:
@@ -138,8 +138,8 @@ def progress(app: App) -> None:
     flags = imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.no_docking
     widgets.floating()
     imgui.begin("Saving###export", None, int(flags))
-    imgui.text(work.label)
+    imgui.text(f"→ {work.path.name}")
     imgui.progress_bar(work.done / max(work.total, 1), (hello_imgui.em_size(22), 0), f"{work.done} of {work.total}")
     if imgui.button("cancel###cancel_export"):
-        work.cancel()
+        work.cancelled = True
     imgui.end()

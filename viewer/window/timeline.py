@@ -26,7 +26,7 @@ _SPEEDS = (0.1, 0.25, 0.5, 1.0, 2.0, 4.0)
 def draw(app: App) -> None:
     model = app.model
     if model.source is None:
-        imgui.text_disabled(model.notice or "Open a sequence or a scene")
+        imgui.text_disabled(model.document.notice or "Open a sequence or a scene")
         return
     _bar(model)  # first: where the window is low, it is there
     imgui.dummy(ImVec2(0, 0))
@@ -114,7 +114,7 @@ def _bar(model: Model) -> None:
             corner = ImVec2(left + max(step - 1.0, 1.0), origin.y + height)
             draw.add_rect_filled(ImVec2(left, top), corner, colors[generated])
     _cached(model, draw, origin, step, height)
-    marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.marks]
+    marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.document.marks]
     for frame, color in marked:
         x, ink = round(origin.x + frame * (model.n + 1) * step), imgui.get_color_u32(color)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2 * unit)
@@ -134,7 +134,7 @@ def _bar(model: Model) -> None:
 def _cached(model: Model, draw, origin, step: float, height: float) -> None:
     """Draw the cached slots that the picture can use: a line below the slots."""
     ink, bottom = imgui.get_color_u32(CACHED), origin.y + height
-    for start, end in runs(model.ahead.cached):
+    for start, end in runs(model.document.ahead.cached):
         corner = ImVec2(origin.x + end * step, bottom + _CACHED_HEIGHT * widgets.mark_unit())
         draw.add_rect_filled(ImVec2(origin.x + start * step, bottom), corner, ink)
 
@@ -157,5 +157,5 @@ def _scrub(model: Model, left: float, width: float, count: int) -> None:
     if imgui.is_item_hovered() and not imgui.is_item_active():
         slot = min(max(int((imgui.get_mouse_pos().x - left) / width * count), 0), count - 1)
         frame = slot // (model.n + 1)
-        reasons = filter(None, (model.contents.resets.get(frame), model.marks.get(frame)))
+        reasons = filter(None, (model.contents.resets.get(frame), model.document.marks.get(frame)))
         imgui.set_tooltip("\n".join((f"frame {slot}: drag to scrub", *reasons)))

@@ -250,39 +250,6 @@ def in_rows(indent: float = 1.4) -> Iterator[Callable[[float], None]]:
         imgui.unindent(hello_imgui.em_size(indent))
 
 
-def show_legend(shown: Legend) -> None:
-    """Draw a legend: a ramp with its ticks, a wheel, or a swatch for each single value."""
-    draw, width = imgui.get_window_draw_list(), imgui.get_content_region_avail().x
-    origin, em = imgui.get_cursor_screen_pos(), hello_imgui.em_size()
-    if shown.kind == "ramp":
-        for (a, _, left), (b, _, right) in pairwise(shown.ticks):
-            colors = [imgui.get_color_u32((*c, 1.0)) for c in (left, right, right, left)]
-            corners = ImVec2(origin.x + a * width, origin.y), ImVec2(origin.x + b * width, origin.y + 0.8 * em)
-            draw.add_rect_filled_multi_color(*corners, *colors)
-        _ticks(shown.ticks, origin, width)
-        imgui.dummy(ImVec2(width, 2.2 * em))
-    elif shown.kind == "wheel":
-        radius = 1.6 * em
-        _wheel(draw, ImVec2(origin.x + radius, origin.y + radius), radius)
-        imgui.dummy(ImVec2(2 * radius, 2 * radius))
-        imgui.same_line()
-    if shown.unit:
-        hint(shown.unit)
-    _swatches(shown.labels)
-
-
-def _ticks(ticks, origin: ImVec2, width: float) -> None:
-    """Draw the numbers under a ramp: the ends, and of the others those that have room."""
-    draw, em = imgui.get_window_draw_list(), hello_imgui.em_size()
-    taken: list[tuple[float, float]] = []
-    for position, text, _ in (ticks[0], ticks[-1], *ticks[1:-1]):
-        wide = imgui.calc_text_size(text).x
-        x = min(max(position * width - wide / 2, 0), max(width - wide, 0))
-        if all(x > right + em / 2 or x + wide < left - em / 2 for left, right in taken):
-            taken.append((x, x + wide))
-            draw.add_text(ImVec2(origin.x + x, origin.y + em), imgui.get_color_u32(imgui.Col_.text), text)
-
-
 def swatch(name: str, color: Rgb, size: float) -> None:
     """Draw a square of a color, `size` em, before a text."""
     side, flags = hello_imgui.em_size(size), imgui.ColorEditFlags_.no_tooltip.value
@@ -290,7 +257,8 @@ def swatch(name: str, color: Rgb, size: float) -> None:
     imgui.same_line(0, hello_imgui.em_size(0.3))
 
 
-def _swatches(labels) -> None:
+def swatches(labels: tuple[tuple[str, Rgb], ...]) -> None:
+    """Draw a color and a text for each single value."""
     room, used = imgui.get_content_region_avail().x, 0.0
     for text, color in labels:
         width = imgui.calc_text_size(text).x + hello_imgui.em_size(2.3)

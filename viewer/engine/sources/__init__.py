@@ -1,1 +1,1 @@
-"""Sources of frames: sequences on disk, built-in scenes, previews."""
+"""Sources of frames: sequences on disk and built-in scenes."""

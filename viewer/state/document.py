@@ -1,0 +1,150 @@
+"""The open document: the engine with its source, the store of slots, and what is wanted of both ahead."""
+
+from __future__ import annotations
+
+from functools import partial
+from itertools import islice
+from typing import Any
+
+from ..engine.doctor_worker import Doctor
+from ..engine.engine import Engine, open_viewer_device
+from ..engine.messages import Key, Recipe
+from ..engine.sources.opening import ScenePlan, make_source
+from ..engine.sources.source import FrameSource
+from ..engine.store import Playhead, Store, Want
+from ..picture.current_frame import Contents
+from .playback import Playback
+
+
+class Document:
+    """What is open, one at a time.
+
+    Attributes
+    ----------
+    engine, store : Engine, Store
+    contents : Contents
+        Of the picture; `source` is the open FrameSource, or None.
+    ahead : Ahead
+    plan : ScenePlan
+        For built-in scenes.
+    notice, failure, reload_fault : str, str or None, str
+        What is being opened, or why it cannot be; why the requested picture is not there; why the open source could not
+        be read again.
+    keep_place : bool
+        The source that is being opened is the present one, read again.
+    doctor : Doctor or None
+        Of the open source, once requested.
+    """
+
+    def __init__(self, playback: Playback, device: str | None, plan: ScenePlan, check: bool, cache_mib: int):
+        self.plan, self._check = plan, check
+        self.store = Store(cache_mib << 20)
+        self.engine = Engine(partial(open_viewer_device, device), self.store)
+        self.contents = Contents()
+        self.ahead = Ahead(self.store, playback)
+        self.failure: str | None = None
+        self.notice = self.reload_fault = self.target = ""
+        self.keep_place = False
+        self.doctor: Doctor | None = None
+
+    @property
+    def source(self) -> Any:
+        return self.contents.source
+
+    def open(self, target: str, window: str | None) -> None:
+        """Open a folder with a sequence, or the built-in scene of that name with a rendering `window`, in the
+        background."""
+        self.failure, self.notice = None, f"opening {target} …"
+        self.engine.open_source(partial(make_source, target, window, self.plan, check=self._check))
+
+    def take(self, source: FrameSource) -> None:
+        """Take over a source that is open by now."""
+        self.contents.open(source)
+        self.notice, self.reload_fault, self.target = "", "", source.target
+        self.ahead.forget()
+        self.doctor = None
+
+    def fail(self, error: str, of_source: bool) -> None:
+        """Note a failure of anything but a picture."""
+        self.failure, self.notice = error, error if self.source is None else ""
+        if of_source and self.keep_place:
+            self.reload_fault = error
+        self.keep_place = False
+
+    def times(self, count: int) -> list[float] | None:
+        """Return the times of `count` rendered frames in seconds; None in a built-in scene."""
+        return None if self.source.live else [self.source.time(k) for k in range(count)]
+
+    @property
+    def warnings(self) -> list[str]:
+        """Warnings about the open source and the displayed frame."""
+        result = self.contents.result
+        return [*self.source.suspicions, *(result.warnings if result is not None else ())] if self.source else []
+
+    @property
+    def marks(self) -> dict[int, str]:
+        """Rendered frames with findings of the doctor."""
+        return self.doctor.marks if self.doctor is not None else {}
+
+    def states(self, build: str) -> list[str]:
+        """Return what keeps the picture from being that of the files on disk, as long as it does; `build`: the kernels
+        in use."""
+        found = []
+        if self.engine.build_error:
+            found.append(f"kernels on disk do not build: build {build} is shown")
+        if self.reload_fault:
+            found.append(f"reading it again failed: {self.reload_fault}. The earlier version is shown")
+        if self.source is not None and self.source.changed_on_disk:
+            found.append("files on disk have changed: Ctrl+R reads them again")
+        return found
+
+
+_STILL = 0.3  # seconds that a still picture must have stood
+_PLANNED = 16  # slots that are wanted ahead at once
+
+
+class Ahead:
+    """Slots that are made for the cache while nothing else is to be done.
+
+    Attributes
+    ----------
+    cached : frozenset of int
+        The slots that are there as the picture needs them.
+    """
+
+    def __init__(self, store: Store, playback: Playback):
+        self._store, self._playback = store, playback
+        self.cached: frozenset[int] = frozenset()
+        self._seen = self._planned = None
+        self._since = 0.0
+        self._wants: list[Want] = []
+
+    def forget(self) -> None:
+        """Drop everything after a change of the source."""
+        self.cached, self._seen, self._planned, self._wants = frozenset(), None, None, []
+
+    def wants(self, now: float, picture: Want, others: set[Recipe], nbytes: int, may_run: bool) -> list[Want]:
+        """Return the slots to make in advance, the next one first. Call once per frame of the interface. `picture`: the
+        one on screen, whose slots take `nbytes` each; `others`: recipes of what else is on screen; `may_run`: whether
+        computation in advance is allowed."""
+        store, playback, recipe = self._store, self._playback, picture.key.recipe
+        if not store.most:
+            return []
+        playhead = Playhead(picture.key.slot, playback.first, playback.last)
+        seen = recipe, picture.layers, playhead, frozenset(others)
+        if seen != self._seen:
+            store.use({recipe, *others}, playhead)
+            self._seen, self._since, self._planned = seen, now, None
+        due = may_run and (playback.playing or now - self._since > _STILL)
+        if (store.changes, due) != self._planned:
+            self._planned = store.changes, due
+            self.cached = store.slots(recipe, picture.layers)
+            self._wants = self._plan(picture, playhead, nbytes) if due else []
+        return self._wants
+
+    def _plan(self, picture: Want, playhead: Playhead, nbytes: int) -> list[Want]:
+        length = playhead.last - playhead.first + 1
+        start = min(max(playhead.slot, playhead.first), playhead.last) - playhead.first
+        ahead = (playhead.first + (start + i) % length for i in range(min(length, self._store.room(nbytes))))
+        missing = islice((slot for slot in ahead if slot not in self.cached), _PLANNED)
+        return [Want(Key(picture.key.recipe, slot), picture.layers, hold=False) for slot in missing]
