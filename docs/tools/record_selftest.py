@@ -8,8 +8,7 @@ Records on the default device (`GFFE_DEVICE` chooses another), and says what has
 from __future__ import annotations
 
 from gffe_cl.engine.opencl.device import open_device
-from gffe_cl.engine.selftest.network import model_digest
-from gffe_cl.engine.selftest.reference import Reference, inputs_digest, reference_path
+from gffe_cl.engine.selftest.reference import Reference, inputs_digest, model_digest, reference_path
 from gffe_cl.engine.selftest.scene import frames
 from gffe_cl.engine.selftest.workload import CASES, SIZE, forms_of, moments
 

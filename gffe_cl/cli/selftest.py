@@ -12,7 +12,7 @@ from gffe_cl.cli.common import DeviceOption, JsonOption, app, err, out, output_f
 
 if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import DeviceInfo
-    from gffe_cl.engine.selftest import DeviceResult, NetworkResult
+    from gffe_cl.engine.selftest.report import DeviceResult, NetworkResult
 
 _COLORS = {"equal": "green", "differs": "red", "failed": "red", "refused": "yellow"}
 _MOST_ROWS = 40
@@ -33,8 +33,7 @@ def selftest(
         bool,
         typer.Option(
             "--quick",
-            help="Quick test: only the kernel variants that the device chooses itself, no speed; a quarter of the"
-            " time.",
+            help="Quick test: only the kernel variants that the device chooses itself; a quarter of the time.",
         ),
     ] = False,
     seconds: Annotated[float, typer.Option("--timeout", help="Time limit per device, seconds.", min=1.0)] = 600.0,
@@ -44,18 +43,17 @@ def selftest(
 
     Exit code 1: something differs; 2: something could not be run.
     """
-    from gffe_cl.engine.selftest import selftest as run
-    from gffe_cl.engine.selftest.report import machine
+    from gffe_cl.engine.selftest import report as running
 
-    wanted = {"forms": ["own"], "speed": False} if quick else None
-    found = run(device, seconds=seconds, wanted=wanted, on_device=_announce)
+    wanted = {"forms": ["own"]} if quick else None
+    found = running.selftest(device, seconds=seconds, wanted=wanted, on_device=_announce)
     out.print(_devices_table(found.devices))
     for network in found.networks:
         _print_network(network)
     _print_differences(found.devices)
     document = found.document()
     write_json(json_path, document)
-    write_json(report, {"machine": machine(), **document} if report else {})
+    write_json(report, {"machine": running.machine(), **document} if report else {})
     if report:
         out.print(plain(f"Report: {report}"))
     elif found.exit_code:
@@ -69,10 +67,10 @@ def _announce(info: DeviceInfo) -> None:
 
 
 def _devices_table(results: list[DeviceResult]) -> Table:
-    heads = ("index", "device", "platform", "verdict", "compared", "copies GB/s", "GAE B/px")
+    heads = ("index", "device", "platform", "verdict", "compared")
     table = Table(*heads, box=None, header_style="bold")
     for result in results:
-        info, speed = result.info, result.speed
+        info = result.info
         forms = ", ".join(form["name"] for form in result.forms)
         problem = f": {plain(result.problem)}" if result.problem else ""
         table.add_row(
@@ -81,8 +79,6 @@ def _devices_table(results: list[DeviceResult]) -> Table:
             plain(info.platform + (f" ({info.driver})" if info.driver else "")),
             f"[{_COLORS[result.verdict]}]{result.verdict}[/]{problem}",
             f"{len(result.buffers)} buffers ({forms})" if forms else "",
-            f"{speed['bandwidth']:.1f}" if "bandwidth" in speed else "",
-            f"{speed['bytes_per_pixel']:.0f}" if "bytes_per_pixel" in speed else "",
         )
     return table
 

@@ -1,5 +1,5 @@
 """Recorded references: a hash of every buffer after each new frame ("moment") of the workload, and for one of them in
-each case the values, so that differences can be measured in ulp and pixels."""
+each case the values, so that differences can be measured in ulp and pixels; and comparison with them."""
 
 from __future__ import annotations
 
@@ -13,6 +13,8 @@ from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
+
+from gffe_cl.engine.inference.network import Network, NetworkError, default_model, digest_of_weights, load_network
 
 KEPT_MOMENT = "frame 3 + 2/3"  # of which values are recorded
 _EXAMPLES = 4  # reported values that differ
@@ -156,3 +158,25 @@ def ulps(a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def inputs_digest(frames: Iterable) -> str:
     """Return the hash of rendered frames, the input of a device."""
     return digest(*(array for frame in frames for array in (frame.color, frame.depth, frame.motion)))
+
+
+def model_digest() -> str:
+    """Return the hash of the weights that come with the package, "" if there are none."""
+    path = default_model()
+    return "" if path is None else digest_of_weights(path)[:16]
+
+
+def compare_network() -> float:
+    """Return the largest difference of onnxruntime's output to the recorded one: 0 where the CPU has fused
+    multiply-add, as x86-64 has since 2013. Raises NetworkError if it cannot run the network, or the weights are not the
+    recorded ones."""
+    reference = recorded()
+    if reference.model != model_digest():
+        raise NetworkError("the installed weights are not those that the references were recorded with")
+    values, names = reference.values["default"], ("network_input.frames", "shading_flow.candidates")
+    frames, candidates = (np.ascontiguousarray(values[name]) for name in names)
+    expected = values["correction.judgement"]
+    found, network = np.empty_like(expected), load_network()
+    assert isinstance(network, Network)
+    network.run(frames, candidates, found)
+    return float(np.abs(np.where(np.isfinite(found), found, np.inf) - expected).max())

@@ -14,30 +14,32 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.device import list_devices, open_info
 from gffe_cl.engine.opencl.program import kernel_folder
-from gffe_cl.engine.selftest import report, selftest
-from gffe_cl.engine.selftest.network import compare_network, model_digest
+from gffe_cl.engine.selftest import report
 from gffe_cl.engine.selftest.reference import (
     KEPT_MOMENT,
     BufferComparison,
     Difference,
     Reference,
+    compare_network,
     digest,
     inputs_digest,
+    model_digest,
     recorded,
     reference_path,
     ulps,
 )
+from gffe_cl.engine.selftest.report import selftest
 from gffe_cl.engine.selftest.scene import CUT, frames
 from gffe_cl.engine.selftest.workload import CASES, SIZE, forms_of, moments
 
 STALE = "after a change that is meant: python docs/tools/record_selftest.py"
-LITTLE = {"cases": ["paper"], "forms": ["own"], "until": "frame 1 + 1/3", "speed": False}
+LITTLE = {"cases": ["paper"], "forms": ["own"], "until": "frame 1 + 1/3"}
 
 
 @pytest.fixture
 def weights(monkeypatch, default_model):
     monkeypatch.setattr(network, "default_model", default_model)
-    monkeypatch.setattr("gffe_cl.engine.selftest.network.default_model", default_model)
+    monkeypatch.setattr("gffe_cl.engine.selftest.reference.default_model", default_model)
     monkeypatch.setattr("gffe_cl.engine.selftest.workload.default_model", default_model)
 
 
@@ -153,7 +155,7 @@ def first_device():
 def test_what_differs_is_found(other_kernels, gffe, tmp_path, monkeypatch):
     info = first_device()
     little = {"wanted": LITTLE, "networks": False}
-    monkeypatch.setattr("gffe_cl.engine.selftest.selftest", lambda *a, **more: selftest(*a, **more | little))
+    monkeypatch.setattr("gffe_cl.engine.selftest.report.selftest", lambda *a, **more: selftest(*a, **more | little))
     code, printed, _ = gffe(
         "selftest", "--device", info.index, "--report", tmp_path / "r.json", "--json", tmp_path / "j.json"
     )
@@ -163,7 +165,7 @@ def test_what_differs_is_found(other_kernels, gffe, tmp_path, monkeypatch):
     assert {"machine", *json.loads((tmp_path / "j.json").read_text())} == set(told)
     (found,) = told["devices"]
     assert found["verdict"] == "differs" and found["facts"]["max_work_group_size"] > 0
-    assert found["different"]["prediction.target_position"]["forms"] == ["own"]
+    assert found["different"]["prediction.target_position"]["forms"] == ["own"] and found["other_inputs"] == []
     assert found["forms"][0]["cases"]["paper"]["moments"] == 3
 
 
