@@ -83,8 +83,8 @@ def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypa
         if following:
             pipeline.submit(following)
         device.queue.finish()  # the frame was taken, and the network has not ended
-        if correction._begun:
-            assert not correction._begun[2].done()
+        if overlapping.correcting and not overlapping.correcting.done():
+            assert not overlapping.correcting._ran.done()
             may_end.set()
 
     assert list(images(overlapping, take_the_next)) == expected
