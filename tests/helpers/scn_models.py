@@ -91,11 +91,12 @@ def pooling_model(path):
 
 def save(path, nodes, constants, inputs=INPUTS, outputs=OUTPUTS, weights=None):
     graph = helper.make_graph(
-        nodes, "test",
+        nodes,
+        "test",
         [helper.make_tensor_value_info(*value) for value in inputs],
         [helper.make_tensor_value_info(*value) for value in outputs],
         [numpy_helper.from_array(array, name) for name, array in constants.items()],
-    )  # fmt: skip
+    )
     model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", 16)], ir_version=8)
     onnx.checker.check_model(model)
     helper.set_model_props(model, {HEAD: head_text(head() if weights is None else weights)})

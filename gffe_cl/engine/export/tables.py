@@ -31,10 +31,22 @@ from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
 
 OCCASIONS = (
-    "rendered_first", "rendered", "extrapolated_first", "extrapolated", "cut", "present_first", "present", "leave_out",
-    "compose", "compose_rendered", "convert_color", "convert_geometry", "convert_small",
-    "convert_dilated", "convert_small_dilated",
-)  # fmt: skip
+    "rendered_first",
+    "rendered",
+    "extrapolated_first",
+    "extrapolated",
+    "cut",
+    "present_first",
+    "present",
+    "leave_out",
+    "compose",
+    "compose_rendered",
+    "convert_color",
+    "convert_geometry",
+    "convert_small",
+    "convert_dilated",
+    "convert_small_dilated",
+)
 # Inputs from callers, and their displayed part: name, grid and bytes.
 GIVEN = {
     **{

@@ -12,6 +12,7 @@ import hashlib
 import os
 from collections.abc import Callable
 from functools import cache
+from importlib import import_module
 from importlib.resources import files
 from importlib.util import find_spec
 from pathlib import Path
@@ -175,7 +176,7 @@ class Network:
         binding.bind_output(OUTPUT, "cpu", 0, np.float32, judgement[None].shape, judgement.ctypes.data)
         try:
             self.session.run_with_iobinding(binding)
-        except Exception as error:  # onnxruntime's classes have no common base
+        except _errors_of_onnxruntime() as error:
             raise NetworkError(f"{self.path}: the network failed on {CPU}: {one_line(error)}") from None
         binding.synchronize_outputs()
         return _pixels_not_finite(judgement)
@@ -276,6 +277,14 @@ def load_onnxruntime() -> ModuleType:
     return onnxruntime
 
 
+@cache
+def _errors_of_onnxruntime() -> tuple[type[Exception], ...]:
+    """Return the classes of onnxruntime's errors, which have no common base."""
+    state = import_module("onnxruntime.capi.onnxruntime_pybind11_state")
+    own = [each for each in vars(state).values() if isinstance(each, type) and issubclass(each, Exception)]
+    return *own, RuntimeError, ValueError, TypeError, OSError
+
+
 def cpu_model(path: Path) -> Path:
     """Return the file that runs in place of `path`: for the package's own network its form in 8-bit integers, which
     takes half the time on a CPU."""
@@ -294,7 +303,7 @@ def open_session(path: Path):
     options.log_severity_level = 4
     try:
         session = onnxruntime.InferenceSession(model_source(path), options, providers=[CPU])
-    except Exception as error:  # onnxruntime's classes have no common base
+    except _errors_of_onnxruntime() as error:
         raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {one_line(error)}") from None
     _sessions.add(session)
     return session

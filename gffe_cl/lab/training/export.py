@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import onnx
 import torch
+from google.protobuf.message import DecodeError
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.layers import (
@@ -100,7 +101,7 @@ def weights_of(path: Path) -> tuple[dict[str, np.ndarray], np.ndarray]:
         model = onnx.load(str(path))
         weights = {item.name: onnx.numpy_helper.to_array(item) for item in model.graph.initializer}
         head = next((item.value for item in model.metadata_props if item.key == HEAD), "")
-    except Exception as error:  # of protobuf, onnx or the system
+    except (OSError, ValueError, TypeError, LookupError, DecodeError) as error:
         raise GffeError(
             f"{path}: not an ONNX network ({getattr(error, 'strerror', None) or type(error).__name__})"
         ) from None

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import pickle
 from pathlib import Path
 
 import torch
@@ -22,6 +23,18 @@ _DISPLAY_WEIGHT = 10.0
 _STRUCTURE_WEIGHT = 0.05
 _WINDOW = 7  # pixels: that of `gffe_cl.lab.metrics.ssim`
 _TOE = float(SRGB_TOE)
+# Errors of `torch.load`, and of content that is not as expected.
+UNREADABLE = (
+    OSError,
+    EOFError,
+    RuntimeError,
+    LookupError,
+    ValueError,
+    TypeError,
+    AttributeError,
+    ImportError,
+    pickle.UnpicklingError,
+)
 
 
 def charbonnier(a: Tensor, b: Tensor) -> Tensor:
@@ -113,7 +126,7 @@ class VggLoss(nn.Module):
                 key.removeprefix("features."): value for key, value in state.items() if key.startswith("features.")
             }
             self.layers.load_state_dict({key: state[key] for key in self.layers.state_dict()})
-        except Exception as error:  # torch.load raises many kinds
+        except UNREADABLE as error:
             raise GffeError(f"{path}: not VGG-19 as torchvision saves it ({type(error).__name__})") from None
         self.requires_grad_(False)
         self.register_buffer("mean", torch.tensor((0.485, 0.456, 0.406)).view(1, 3, 1, 1))

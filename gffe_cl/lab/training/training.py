@@ -394,9 +394,7 @@ def split_crops(crops: list[Crop], seed: int) -> tuple[list[Crop], list[Crop]]:
 def _readable(path: Path):
     try:
         yield
-    except GffeError:
-        raise
-    except Exception as error:  # torch.load raises many kinds
+    except losses.UNREADABLE as error:
         raise GffeError(f"{path}: not a checkpoint of this program ({type(error).__name__})") from None
 
 

@@ -43,9 +43,18 @@ W, H = 83, 61
 RGBA, HALF = cl.channel_order.RGBA, cl.channel_type.HALF_FLOAT
 DEFAULT = Options(shading_correction=False)
 VARIED = replace(
-    DEFAULT, levels=1, crack_closing=False, soft_silhouettes=False, acceleration=False, history=4, order=3,
-    hole_filling="none", cut_detection=False, static_threshold=1.5, camera_order=1,
-)  # fmt: skip
+    DEFAULT,
+    levels=1,
+    crack_closing=False,
+    soft_silhouettes=False,
+    acceleration=False,
+    history=4,
+    order=3,
+    hole_filling="none",
+    cut_detection=False,
+    static_threshold=1.5,
+    camera_order=1,
+)
 DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", shading_inputs=True, hidden_parts=False, blocks=False)
 UPSCALED = replace(DEFAULT, upscale=2.0)
 _libraries: dict = {}
@@ -217,17 +226,25 @@ FORMATS = (
         mvecScale=(1, 1), cameraNear=0.2, cameraFar=40, depthInverted=False, cameraMotionIncluded=False
     ),
     FrameFormat.openxr(nearZ=np.inf, farZ=0.2, minDepth=0.1, maxDepth=0.9, motionVectorOffset=(0.01, -0.02, 0, 0)),
-    FrameFormat(near_z=1, far_z=90, motion_unit="uv", motion_y="up", camera_motion="excluded", motion_jittered=True,
-                rows="up"),
+    FrameFormat(
+        near_z=1, far_z=90, motion_unit="uv", motion_y="up", camera_motion="excluded", motion_jittered=True, rows="up"
+    ),
     FrameFormat(
         motion_unit="ndc", motion_direction="from_previous", motion_invalid=0.3, geometry_size=(W // 2, -(-H // 3))
     ),
-    FrameFormat(geometry_size=(W - 5, H // 2), motion_jittered=True, motion_dilated=True, color_encoding="srgb",
-                depth="distance", depth_scale=12, rows="up"),
+    FrameFormat(
+        geometry_size=(W - 5, H // 2),
+        motion_jittered=True,
+        motion_dilated=True,
+        color_encoding="srgb",
+        depth="distance",
+        depth_scale=12,
+        rows="up",
+    ),
     FrameFormat(motion_unit="uv", motion_dilated=True, depth="logarithmic", near_z=30, far_z=0.4),
     FrameFormat(depth="logarithmic", near_z=0, far_z=90, depth_range=(0.2, 0.9)),
     FrameFormat(motion_unit="color_pixels", motion_dilated=True, geometry_size=(W // 2, H // 2)),
-)  # fmt: skip
+)
 
 
 def test_engines_own_formats_have_the_same_bits(device, library):
@@ -235,8 +252,10 @@ def test_engines_own_formats_have_the_same_bits(device, library):
     rng, frames, formats = np.random.default_rng(2), moving(device, 12), [*FORMATS, None, FORMATS[4]]
     types = zip(3 * COLOR_TYPES, 3 * (*DEPTH_TYPES, "float32"), 3 * MOTION_TYPES, strict=True)
     names = [dict(zip(("color_type", "depth_type", "motion_type"), t, strict=True)) for t in types]
-    formats = [f and replace(f, **(n if k else {}), motion_channels=2 + k % 3 if k else 2)
-               for k, (f, n) in enumerate(zip(formats, names, strict=False))]  # fmt: skip
+    formats = [
+        f and replace(f, **(n if k else {}), motion_channels=2 + k % 3 if k else 2)
+        for k, (f, n) in enumerate(zip(formats, names, strict=False))
+    ]
     frames = [f if g is None else in_format(device, f, g, rng) for f, g in zip(frames, formats, strict=True)]
     frames[-1] = replace(frames[-1], reset=True, motion=None)
     run_both(device, library, DEFAULT, frames, formats=formats)
@@ -296,9 +315,16 @@ def test_other_modules_other_sizes_windows_and_known_cameras(device, library):
     assert frames[4].reset and frames[1].camera.intrinsics != frames[1].display_camera.intrinsics
     scene = load_scene("plaza", 1)
     compared, _ = run_both(
-        device, library, VARIED, frames, size, (0.25, 1.3), lambda time: scene.camera(time, *size),
-        render_size=render_size, int64_atomics=0,
-    )  # fmt: skip
+        device,
+        library,
+        VARIED,
+        frames,
+        size,
+        (0.25, 1.3),
+        lambda time: scene.camera(time, *size),
+        render_size=render_size,
+        int64_atomics=0,
+    )
     assert {"presentation.motion", "history.history"} <= compared
 
 

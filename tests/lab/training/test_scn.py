@@ -66,19 +66,6 @@ def test_network_is_within_its_limits():
     assert 1 < operations <= 24
 
 
-def test_alpha_and_trends_matter():
-    torch.manual_seed(0)
-    net, frames = network.ShadingCorrectionNetwork().eval(), random(1, 8, 32, 32)
-    trends = random(1, TREND_PLANES, 16, 16)
-    with torch.no_grad():
-        said = net(frames, torch.tensor([0.25]), trends)
-        assert not torch.equal(said, net(frames, torch.tensor([0.75]), trends))
-        for plane in range(TREND_PLANES):
-            other = trends.clone()
-            other[:, plane] = 0
-            assert not torch.equal(said, net(frames, torch.tensor([0.25]), other)), plane
-
-
 def test_training_begins_with_another_network_s_weights():
     """Also with those of one that has fewer inputs; what it does not have counts for nothing."""
     torch.manual_seed(1)
@@ -202,18 +189,6 @@ def halved(batch):
     return Batch(*images, batch.trends.clone(), batch.alpha, batch.heights, True)
 
 
-def test_half_resolution_forgives_one_pixel_of_the_whole_frame_too():
-    """An edge of contrast 10, shifted by one pixel and by four."""
-    ramp = torch.full((1, 3, 16, 32), 0.1)
-    ramp[..., 16:] = 1.0
-    side = torch.full((1, 2, 16, 32), 0.5)
-    for shift, wrong in ((0, False), (1, False), (-1, False), (4, True), (-4, True)):
-        trends = torch.zeros(1, TREND_PLANES, 4, 8)
-        moved = Batch(ramp, ramp, torch.roll(ramp, shift, -1), side, trends, *torch.ones(2, 1))
-        inner = [part.focus()[..., 4:-4].any().item() for part in (moved, halved(moved))]
-        assert inner == [wrong, wrong], shift
-
-
 def test_augmentation_follows_its_generator():
     made = [Augmentation(torch.Generator().manual_seed(s))(batch_of()) for s in (1, 1, 2)]
     assert torch.equal(made[0].truth, made[1].truth) and torch.equal(made[0].gae, made[1].gae)
@@ -223,21 +198,6 @@ def test_augmentation_follows_its_generator():
     assert small.halved and small.gae.shape[-1] == 32
     for batch in (*made, small):
         assert all(torch.isfinite(x).all() and (x >= 0).all() for x in (batch.gae, batch.previous, batch.truth))
-
-
-@pytest.mark.parametrize("change", ["_lit", "_reflected"])
-def test_shading_of_its_own_moves_with_time(change):
-    """At α = 0 the truth shows it where the GAE frame does, at α = −1 and −2 where the frames before do; never on what
-    is dynamic."""
-    batch = batch_of()
-    one = torch.ones(4, 3, 3, 64, 64) * 0.3
-    one[2] += 0.2 * batch.truth if change == "_reflected" else 0
-    for alpha, same, other in ((0.0, 0, 1), (-1.0, 1, 0), (-2.0, 3, 0)):
-        augmentation = Augmentation(torch.Generator().manual_seed(5), changing=0.0)
-        colors = getattr(augmentation, change)(one, batch.side, torch.full((3,), alpha)) - one
-        assert torch.allclose(colors[2], colors[same], atol=1e-6)
-        assert (colors[2] - colors[other]).abs().max() > 0.02
-        assert not colors[..., :16].any() and colors[..., 16:].abs().max() > 0.05
 
 
 def test_trends_are_what_the_stage_finds():
