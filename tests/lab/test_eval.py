@@ -9,6 +9,7 @@ import pytest
 from frame_models import network
 
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.lab.metrics import REGIONS
 from gffe_cl.lab.table import cells, results
@@ -187,7 +188,8 @@ def test_methods_without_a_format_get_geometry_of_the_size_of_color():
     depth, motion = np.full((18, 32), 4, np.float32), np.full((18, 32, 2), (1, -2), np.float32)
     depth[5:9, 5:9], motion[5:9, 5:9] = 2, (3, 0)
     color = np.where(np.kron(depth, np.ones((2, 2))) > 3, 0.1, 0.9)[..., None] * np.ones(3)
-    frame = RenderedFrame(color.astype(np.float16), depth, motion, None, 0.0, geometry_size=(32, 18))
+    camera = Camera(np.eye(4), 60, 60, 32, 18)
+    frame = RenderedFrame(color.astype(np.float16), depth, motion, camera, 0.0, geometry_size=(32, 18))
     made = at_full_size(Shot(frame, color, (), frame))
     assert made.frame.depth.shape == (36, 64) == made.following.motion.shape[:2] and made.frame.geometry_size is None
     assert np.array_equal(made.frame.motion[12, 12], (6, 0)) and np.array_equal(made.frame.motion[30, 40], (2, -4))
