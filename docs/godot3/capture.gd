@@ -107,11 +107,13 @@ func write_description():
 	var file = File.new()
 	file.open(folder + "/sequence.json", File.WRITE)
 	file.store_string(JSON.print({
-		"format": "gffe-folder", "version": 1, "width": size.x, "height": size.y, "fps": fps,
+		"format": "gffe-folder", "version": 2, "width": size.x, "height": size.y, "fps": fps,
 		"frames": {"count": frames},
-		"color": {"file": "color_%d.npy"},
-		"motion": {"file": "geometry_%d.npy", "channels": ["0", "1"]},
-		"depth": {"file": "geometry_%d.npy", "channels": ["2"], "sky": 0},
-		"camera": {"convention": "opengl", "matrix": "view_to_world", "list": cameras},
+		"files": {
+			"color": "color_%d.npy",
+			"motion": {"file": "geometry_%d.npy", "channels": ["0", "1"]},
+			"depth": {"file": "geometry_%d.npy", "channels": ["2"], "sky": 0},
+		},
+		"cameras": {"convention": "opengl", "matrix": "view_to_world", "list": cameras},
 	}, " "))
 	file.close()

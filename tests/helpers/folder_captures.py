@@ -7,23 +7,24 @@ from foreign import FPS, H, W, shots, write_exr
 
 from gffe_cl import open_capture
 
+FILES = {"color": "color_%04d.exr", "depth": "depth_%d.npy", "motion": "motion.%03d.npy"}
+
 
 def rendered():
     return [shot for shot in shots() if shot.kind == "rendered"]
 
 
 def described(**parts):
+    """Return the JSON of a capture of three frames; `parts` of `FILES` replace its files, others its keys."""
     basic = {
         "format": "gffe-folder",
-        "version": 1,
+        "version": 2,
         "width": W,
         "height": H,
         "fps": FPS,
         "frames": {"first": 3, "count": 3},
-        "color": {"file": "color_%04d.exr"},
-        "depth": {"file": "depth_%d.npy"},
-        "motion": {"file": "motion.%03d.npy"},
-        "camera": {"list": [{"view": s.camera.world_to_view.tolist(), **focal(s.camera)} for s in rendered()]},
+        "files": FILES | {name: parts.pop(name) for name in [*parts] if name in (*FILES, "ground_truth")},
+        "cameras": {"list": [{"view": s.camera.world_to_view.tolist(), **focal(s.camera)} for s in rendered()]},
     }
     return {**basic, **parts}
 

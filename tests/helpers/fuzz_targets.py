@@ -71,9 +71,9 @@ def write_folder(folder):
         fx, fy, cx, cy = frame.camera.intrinsics
         cameras.append({"view": frame.camera.world_to_view.tolist(), "fx": fx, "fy": fy, "cx": cx, "cy": cy})
     document = {
-        **{"format": "gffe-folder", "version": 1, "width": W, "height": H, "fps": FPS},
-        **{"frames": {"first": 0, "count": COUNT}, "color": {"file": "color_%d.png"}},
-        **{"depth": {"file": "depth_%d.npy"}, "motion": {"file": "motion_%d.npy"}, "camera": {"list": cameras}},
+        **{"format": "gffe-folder", "version": 2, "width": W, "height": H, "fps": FPS},
+        **{"frames": {"first": 0, "count": COUNT}, "cameras": {"list": cameras}},
+        **{"files": {"color": "color_%d.png", "depth": "depth_%d.npy", "motion": "motion_%d.npy"}},
     }
     (folder / "sequence.json").write_text(json.dumps(document))
     return folder

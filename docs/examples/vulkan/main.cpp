@@ -84,10 +84,10 @@ void write_capture(int frame, const Planes &planes, const gffe_camera &camera, c
     file << "], \"fx\": " << camera.fx << ", \"fy\": " << camera.fy << ", \"cx\": " << camera.cx
          << ", \"cy\": " << camera.cy << "}\n";
     std::ofstream(wanted.capture + "/sequence.json")
-        << R"({"format": "gffe-folder", "version": 1, "fps": )" << RATE << R"(, "width": )" << wanted.width
+        << R"({"format": "gffe-folder", "version": 2, "fps": )" << RATE << R"(, "width": )" << wanted.width
         << R"(, "height": )" << wanted.height << R"(, "frames": {"first": 0, "count": )" << frame + 1 << R"(},
- "color": {"file": "%d_color.npy"}, "depth": {"file": "%d_depth.npy"}, "motion": {"file": "%d_motion.npy"},
- "camera": {"layout": "row-major", "file": "%d_camera.json"}}
+ "files": {"color": "%d_color.npy", "depth": "%d_depth.npy", "motion": "%d_motion.npy"},
+ "cameras": {"layout": "row-major", "file": "%d_camera.json"}}
 )";
 }
 

@@ -9,14 +9,17 @@ import numpy as np
 
 from gffe_cl.captures.formats.capture import (
     MOST_FRAMES,
+    Place,
     camera_of,
     described,
+    holding,
+    layers_of,
+    mark_gaps,
+    owner,
     read_json,
     shown_part,
     through_window,
 )
-from gffe_cl.captures.formats.layers import Place, holding, layers_of, owner
-from gffe_cl.captures.formats.numbering import mark_gaps
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
 from gffe_cl.captures.sequence.exr import decoded, require_parts
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header

@@ -1,35 +1,26 @@
 """Reader of folders of EXR, PNG or NPY images that a short `sequence.json` of `"format": "gffe-folder"` describes.
 
-The schema is in docs/formats.md.
+{"files": {"color": "color/%04d.exr", …}, "frame_format": {fields of FrameFormat}, "cameras": {…}}: docs/formats.md.
 """
 
 from __future__ import annotations
 
+import math
 import re
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from gffe_cl.captures.formats.buffers import (
-    Buffer,
-    ColorBuffer,
-    DepthBuffer,
-    MotionBuffer,
-    parse_buffer,
-    parse_color,
-    parse_depth,
-    parse_motion,
-)
-from gffe_cl.captures.formats.cameras import CameraRules, FoundCamera, parse_camera, parse_rules
-from gffe_cl.captures.formats.capture import MOST_FRAMES, described, read_json
+from gffe_cl.captures.formats import folder_version_1
+from gffe_cl.captures.formats.capture import MOST_FRAMES, Keys, Size, described, mark_gaps, read_json, with_ending
 from gffe_cl.captures.formats.flow import inverted_flow
-from gffe_cl.captures.formats.images import Size
-from gffe_cl.captures.formats.json_schema import Keys
-from gffe_cl.captures.formats.numbering import mark_gaps
-from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry
+from gffe_cl.captures.formats.folder_cameras import CameraRules, FoundCamera, parse_camera, parse_rules
+from gffe_cl.captures.formats.images import check_planes, read_planes
+from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry, reference
+from gffe_cl.captures.sequence.engine_form import color_of, described_frame
 from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -37,43 +28,132 @@ from gffe_cl.engine.core.files import open_regular
 from gffe_cl.engine.core.validation import (
     MOST_SIDE,
     require_exposure,
+    require_kind,
     require_number,
     require_positive,
     require_whole,
+    shown,
 )
-from gffe_cl.engine.frame.conventions import refuse_oblique
+from gffe_cl.engine.frame.frame_format import SCALED_DEPTHS, FrameFormat
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
-FORMAT, VERSION = "gffe-folder", 1
+FORMAT, VERSION = "gffe-folder", 2
 _NUMBERS = -(10**9), 10**9  # of frames
+_MOST_OFFSET = 16  # frames
 _FIRST_BYTES = 1 << 16
+_NUMBER = re.compile(r"%(0\d{1,2})?d")
+_CHANNELS = {"color": "RGB", "depth": "R", "motion": "RG", "ground_truth": "RGB"}
 
 
-@dataclass(frozen=True, eq=False)
+@dataclass(frozen=True)
+class Buffer:
+    """Files of a buffer, and which of their numbers are values. `frame_offset`: how many rendered frames after a frame
+    its file is."""
+
+    pattern: str  # path of the files, with %d or %04d for the frame's number
+    channels: tuple[str, ...]
+    is_color: bool
+    frame_offset: int = 0
+    raw: bool = False  # integers are themselves, and not 0 … 1
+    valid: str | None = None  # a channel that is 0 where nothing was written
+    unknown: float | None = None  # what stands in place of values that were never written
+    unknown_from: float | None = None  # values of that magnitude or more are none
+    sky: float | None = None
+    sky_from: float | None = None
+    to_next: bool = False  # vectors lead to the next frame
+    without_jitter: bool = False  # vectors, of cameras that jitter
+
+    def file(self, number: int) -> str:
+        return _NUMBER.sub(lambda found: found[0] % number, self.pattern)
+
+    def path(self, folder: Path, number: int) -> Path:
+        """Return the path of the file, whose ending may be in capital letters."""
+        return with_ending(folder / self.file(number))
+
+    def check(self, folder: Path, number: int, size: Size) -> None:
+        """Check the file by its headers. Raises GffeError if it cannot be read."""
+        check_planes(self.path(folder, number), self._planes, self.file(number), size)
+
+    @property
+    def _planes(self) -> tuple[str, ...]:
+        return self.channels if self.valid is None else (*self.channels, self.valid)
+
+    def read(self, folder: Path, number: int, size: Size) -> np.ndarray:
+        """Return (H, W, components) as stored: floats, of color also uint8 and uint16. Other integers are from 0 to 1.
+        NaN where nothing was written."""
+        outside = 0.0 if self.is_color else math.nan
+        values = read_planes(self.path(folder, number), self._planes, self.file(number), size, outside)
+        kind = values.dtype
+        unwritten: np.ndarray | None = None
+        if self.valid is not None:
+            unwritten, values = np.asarray(values[..., -1] == 0), values[..., :-1]
+        if kind.kind != "f" and not (self.is_color and kind in (np.uint8, np.uint16) and not self.raw):
+            most = 1.0 if self.raw or kind.kind == "b" else float(np.iinfo(kind).max)
+            values = values / most
+        if self.unknown is not None:
+            found = np.asarray((np.abs(values.astype(np.float64) - self.unknown) <= 1e-6 * abs(self.unknown)).all(-1))
+            unwritten = found if unwritten is None else unwritten | found
+        if self.unknown_from is not None:
+            found = np.asarray((np.abs(values) >= self.unknown_from).any(-1))
+            unwritten = found if unwritten is None else unwritten | found
+        return values if unwritten is None else np.where(unwritten[..., None], values.dtype.type(np.nan), values)
+
+
+def parse_buffer(given: Any, name: str) -> Buffer:
+    """Return the buffer that a name with %d, or an object of keys, describes. Raises GffeError."""
+    keys, is_color = Keys({"file": given} if isinstance(given, str) else given, name), name in ("color", "ground_truth")
+    pattern = keys.take("file")
+    if not isinstance(pattern, str) or len(_NUMBER.findall(pattern)) != 1 or "%" in _NUMBER.sub("", pattern):
+        raise GffeError(f"{name}, file must be a name with %d or %04d for the frame's number, got {shown(pattern)}")
+    name_on_disk, elsewhere = reference(pattern, name)
+    default = _CHANNELS[name]
+    channels = keys.take("channels", list(default))
+    texts = isinstance(channels, list) and all(isinstance(one, str) for one in channels)
+    if not texts or len(channels) != len(default):
+        raise GffeError(f"{name}, channels must be {len(default)} names, got {shown(channels)}")
+    offset = require_whole(keys.take("frame_offset", 0), f"{name}, frame_offset", -_MOST_OFFSET, _MOST_OFFSET)
+    more: dict[str, Any] = {"raw": keys.choice("values", ("normalized", "raw"), "normalized") == "raw"}
+    if not is_color:
+        valid = keys.take("valid")
+        more["valid"] = valid and require_kind(valid, str, f"{name}, valid", "a channel's name")
+        more |= {key: keys.number(key) for key in ("unknown", "unknown_from")}
+    if name == "depth":
+        more |= {key: keys.number(key) for key in ("sky", "sky_from")}
+    if name == "motion":
+        more |= {key: keys.flag(key) for key in ("to_next", "without_jitter")}
+    keys.done()
+    return Buffer(elsewhere or name_on_disk, tuple(channels), is_color, offset, **more)
+
+
+@dataclass(eq=False)
 class _Frame:
-    """One frame, with the number in the names of its files."""
+    """One frame, with the number in the names of its files, by buffer."""
 
     number: int
     entry: FrameEntry
-    camera: Any  # a FoundCamera; None where none is needed
-    before: _Frame | None  # the rendered one before it, unless it is a reset
+    camera: FoundCamera | None
+    before: _Frame | None = None  # the rendered one before it, unless it is a reset
+    numbers: dict[str, int] | None = None
 
 
 @dataclass
-class FolderSettings:
-    """Contents of the JSON; `cameras`: conventions of the matrices."""
+class _Capture:
+    """Contents of the JSON. `depth_planes`: whether those of depth follow from the cameras' projections."""
 
     size: Size
-    color: ColorBuffer
-    truth: ColorBuffer
-    depth: DepthBuffer
-    motion: MotionBuffer
-    cameras: CameraRules
+    files: dict[str, Buffer]
+    format: FrameFormat
+    depth_planes: bool
+    rules: CameraRules
     frames: dict[str, _Frame]  # by the entry's name
-    gaps: str | None = None  # a sentence about numbers that are missing
 
-    @property
-    def has_projections(self) -> bool:
-        return any(frame.camera and frame.camera.projection is not None for frame in self.frames.values())
+    def format_of(self, frame: _Frame) -> FrameFormat:
+        """Return the format of a frame, with the planes of its own projection."""
+        if not self.depth_planes:
+            return self.format
+        assert frame.camera is not None  # `_require_camera`
+        near, far = frame.camera.planes(self.rules)
+        return replace(self.format, near_z=near, far_z=far, depth_range=(0.0, 1.0))
 
 
 def is_folder(path: Path) -> bool:
@@ -88,133 +168,187 @@ def is_folder(path: Path) -> bool:
 def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     """Open the capture in `folder` and return it: the JSON and the headers of all images are checked. With `cameras`
     "optional" none need be described. Raises GffeError."""
-    made, description = _parse(folder, read_json(folder / FILE_NAME), cameras == "needed")
+    document, notes = read_json(folder / FILE_NAME), []
+    if document.get("version", 1) == 1:
+        document = folder_version_1.translated(document)
+        notes.append(f"{folder}: version 1 of the description (docs/formats.md has the present one)")
+    made, description, gaps = _parse(folder, document, cameras == "needed")
+    pixels = FolderPixels(folder, made)
     for frame in made.frames.values():
-        if frame.entry.kind == "ground_truth":
-            made.truth.buffer.check(folder, frame.number, made.size)
-            continue
-        made.color.buffer.check(folder, frame.number, made.size)
-        made.depth.buffer.check(folder, frame.number, made.size)
-        if frame.before:
-            made.motion.buffer.check(folder, (frame.before if made.motion.to_next else frame).number, made.size)
-    return Sequence(folder, description, FolderPixels(folder, made))
+        is_truth = frame.entry.kind == "ground_truth"
+        for name in ("ground_truth",) if is_truth else ("color", "depth", *(("motion",) if frame.before else ())):
+            made.files[name].check(folder, pixels.number(frame, name), pixels.size_of(name))
+    formats = {made.format_of(frame) for frame in made.frames.values() if frame.entry.kind == "rendered"}
+    pixels.converts = made.files["motion"].to_next or len(formats) > 1
+    if not pixels.converts and formats != {FrameFormat()}:
+        description.format = next(iter(formats), None)
+    pixels.notes += notes + ([f"{folder}: {gaps}"] if gaps else [])
+    ranges = (one.camera.range_note(made.rules) for one in made.frames.values() if one.camera and made.depth_planes)
+    pixels.notes += [note for note in ranges if note][:1]
+    return Sequence(folder, description, pixels)
 
 
 class FolderPixels(ForeignPixels):
-    """Pixels of the capture in `folder`."""
+    """Pixels of the capture in `folder`, as they are stored or, if it `converts`, in our conventions."""
 
-    def __init__(self, folder: Path, made: FolderSettings):
+    def __init__(self, folder: Path, made: _Capture):
         super().__init__()
-        self._folder, self.settings = folder, made
-        self.notes += [f"{folder}: {made.gaps}"] if made.gaps else []
-        ranges = (made.depth.range_note(one.camera) for one in made.frames.values() if one.camera)
-        self.notes += [note for note in ranges if note][:1]
+        self._folder, self._made, self.converts = folder, made, False
+
+    def size_of(self, name: str) -> Size:
+        """Return the size of a buffer's images."""
+        return self._made.format.geometry_size or self._made.size if name in ("depth", "motion") else self._made.size
+
+    def number(self, frame: _Frame, name: str) -> int:
+        """Return the number of the file that holds a buffer of a frame: vectors to the next frame are in the one
+        before."""
+        if name == "motion" and frame.before and self._made.files[name].to_next:
+            frame = frame.before
+        return (frame.numbers or {}).get(name, frame.number)
 
     def rendered(self, entry, size):
-        frame = self.settings.frames[entry.file]
+        frame = self._made.frames[entry.file]
         with np.errstate(all="ignore"):  # bad pixels are survived
-            depth, motion = self._depth(frame), None
-            if frame.before:
-                motion = self._motion(frame, depth)
-        return self.color(entry, size), depth, motion
+            if self.converts:
+                return self._converted(frame)
+            motion = self._read(frame, "motion") if frame.before else None
+            return self._read(frame, "color"), self._depth(frame), motion
 
     def color(self, entry, size):
-        frame = self.settings.frames[entry.file]
-        buffer = self.settings.truth if entry.kind == "ground_truth" else self.settings.color
-        with np.errstate(all="ignore"):
-            return buffer.read(self._folder, frame.number, size)
+        frame, is_truth = self._made.frames[entry.file], entry.kind == "ground_truth"
+        stored = self._read(frame, "ground_truth" if is_truth else "color")
+        return color_of(stored, self._made.format) if is_truth or self.converts else stored
+
+    def _read(self, frame: _Frame, name: str) -> np.ndarray:
+        return self._made.files[name].read(self._folder, self.number(frame, name), self.size_of(name))
 
     def _depth(self, frame: _Frame) -> np.ndarray:
-        return self.settings.depth.read(self._folder, frame.number, self.settings.size, frame.camera)
+        """Return stored depth (H, W), with sky as the format has it."""
+        buffer, format = self._made.files["depth"], self._made.format_of(frame)
+        depth = self._read(frame, "depth")[..., 0]
+        found = np.zeros(depth.shape, bool)
+        if buffer.sky is not None:
+            found |= depth == buffer.sky
+        if buffer.sky_from is not None:
+            found |= depth >= buffer.sky_from
+        (_, far_value) = max(zip((format.near_z, format.far_z), format.depth_range, strict=True))
+        (_, near_value) = min(zip((format.near_z, format.far_z), format.depth_range, strict=True))
+        sky = math.copysign(math.inf, far_value - near_value) if format.depth in SCALED_DEPTHS else far_value
+        return np.where(found, sky, depth) if found.any() else depth
 
-    def _motion(self, frame: _Frame, depth: np.ndarray) -> np.ndarray:
-        said, before = self.settings.motion, frame.before
-        assert before is not None  # only resets have none
-        if said.to_next:
-            flow = said.read(self._folder, before.number, self.settings.size)
-            motion = inverted_flow(flow, self._depth(before), before.camera.camera, depth, frame.camera.camera)
-        else:
-            motion = said.read(self._folder, frame.number, self.settings.size)
-        if said.jitter_removed:
-            motion += np.float32(np.subtract(before.camera.jitter, frame.camera.jitter))
-        return motion
+    def _converted(self, frame: _Frame) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        made = self._in_our_form(frame, None)
+        if frame.before is None:
+            return made.color, made.depth, None
+        vectors = self._read(frame, "motion")
+        if not self._made.files["motion"].to_next:
+            made = self._in_our_form(frame, vectors)
+            return made.color, made.depth, made.motion
+        before = self._in_our_form(frame.before, vectors)
+        assert before.motion is not None and before.camera and made.camera  # `_require_camera`
+        return (
+            made.color,
+            made.depth,
+            inverted_flow(before.motion, before.depth, before.camera, made.depth, made.camera),
+        )
+
+    def _in_our_form(self, frame: _Frame, motion: np.ndarray | None) -> RenderedFrame:
+        entry, before = frame.entry, frame.before
+        camera: Any = entry.render_camera  # None where `open_capture` was called for a capture without cameras
+        stored = RenderedFrame(self._read(frame, "color"), self._depth(frame), motion, camera, entry.time,
+                               reset=entry.reset, geometry_jitter=entry.geometry_jitter)  # fmt: skip
+        jitter = before.entry.geometry_jitter if before else (0.0, 0.0)
+        return described_frame(stored, self._made.format_of(frame), before and before.entry.render_camera, jitter)
 
 
-def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[FolderSettings, Description]:
+def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Capture, Description, str | None]:
+    """Return the capture, its description, and a sentence about numbers that are missing."""
     keys = Keys(document, FILE_NAME)
     keys.take("format")
-    if keys.take("version", VERSION) != VERSION:
+    if keys.take("version") != VERSION:
         raise GffeError(f"{FILE_NAME}: unknown version (expected {VERSION})")
-    size = (
-        require_whole(keys.take("width"), f"{FILE_NAME}: width", 1, MOST_SIDE),
-        require_whole(keys.take("height"), f"{FILE_NAME}: height", 1, MOST_SIDE),
-    )
-    fps = keys.take("fps")
+    width, height = (require_whole(keys.take(n), f"{FILE_NAME}: {n}", 1, MOST_SIDE) for n in ("width", "height"))
+    size, fps = (width, height), keys.take("fps")
     fps = None if fps is None else require_positive(fps, f"{FILE_NAME}: fps")
     exposure = require_exposure(keys.take("exposure", 1.0), f"{FILE_NAME}: exposure")
-    cameras = Keys(keys.take("camera", {}), "camera")
-    rules, files, listed = parse_rules(cameras), _camera_files(cameras), cameras.take("list")
+    cameras = Keys(keys.take("cameras", {}), "cameras")
+    rules, camera_files, listed = parse_rules(cameras), cameras.take("file"), cameras.take("list")
     cameras.done()
-    color = keys.take("color")
-    made = FolderSettings(
-        size,
-        parse_color(color),
-        parse_color(keys.take("ground_truth", color), "ground_truth"),
-        parse_depth(keys.take("depth"), rules.convention),
-        parse_motion(keys.take("motion")),
-        rules,
-        {},
-    )
+    named = Keys(keys.take("files"), "files")
+    given = {name: named.take(name) for name in _CHANNELS}
+    named.done()
+    given["ground_truth"] = given["ground_truth"] or given["color"]
+    files = {name: parse_buffer(value, name) for name, value in given.items()}
+    format, depth_planes = _format(keys.take("frame_format", {}), files["motion"])
+    made = _Capture(size, files, format, depth_planes, rules, {})
     frames = list(_frames(keys.take("frames"), fps))
     keys.done()
     if listed is not None and (not isinstance(listed, list) or len(listed) != len(frames)):
-        raise GffeError(f"camera, list must have a camera for each of the {len(frames)} frames")
-    previous = None
-    made.gaps = mark_gaps([(number, entry) for number, entry, _ in frames])
+        raise GffeError(f"cameras, list must have a camera for each of the {len(frames)} frames")
+    patterns = None if camera_files is None else parse_buffer({"file": camera_files, "channels": ["R"]}, "depth")
+    gaps = mark_gaps([(number, entry) for number, entry, _ in frames])
     for index, (number, entry, camera) in enumerate(frames):
         label = f"{FILE_NAME}, frame {number}, camera"
         if camera is None and listed is not None:
             camera = listed[index]
-        if camera is None and files is not None:
-            label = files.file(number)
-            camera = read_json(files.path(folder, number))
-        found = None
-        if camera is not None or cameras_needed:
-            found = parse_camera(camera, rules, size, label)
-            entry.display_camera = found.camera
+        if camera is None and patterns is not None:
+            label, camera = patterns.file(number), read_json(patterns.path(folder, number))
+        found = parse_camera(camera, rules, size, label) if camera is not None or cameras_needed else None
         _require_camera(made, found, label)
-        frame = _Frame(number, entry, found, None)
-        if entry.kind == "rendered":
-            entry.render_camera = entry.display_camera
-            entry.reset = entry.reset or previous is None
-            frame = _Frame(number, entry, found, None if entry.reset else previous)
-            previous = frame
-        made.frames[entry.file] = frame
-    return made, described(FILE_NAME, size, [entry for _, entry, _ in frames], fps, exposure)
+        if found:
+            entry.display_camera = found.camera
+        made.frames[entry.file] = _Frame(number, entry, found)
+    _link(made)
+    entries = [frame.entry for frame in made.frames.values()]
+    return made, described(FILE_NAME, size, entries, fps, exposure), gaps
 
 
-def _require_camera(made: FolderSettings, found: FoundCamera | None, label: str) -> None:
+def _format(given: Any, motion: Buffer) -> tuple[FrameFormat, bool]:
+    """Return the format of stored arrays, and whether the planes of depth follow from the cameras."""
+    given = require_kind(given, dict, "frame_format", "an object")
+    depth_planes = given.get("depth") == "device" and not {"near_z", "far_z"} & given.keys()
+    format = FrameFormat.from_json(given | ({"near_z": 1.0, "far_z": 2.0} if depth_planes else {}))
+    if motion.without_jitter:
+        format = replace(format, motion_jittered=True)
+    return format, depth_planes
+
+
+def _link(made: _Capture) -> None:
+    """Set the frame before each rendered one, its files, and jitter. Frames at the ends, some of whose buffers were not
+    recorded, are left out."""
+    rendered = [frame for frame in made.frames.values() if frame.entry.kind == "rendered"]
+    offsets = {name: buffer.frame_offset for name, buffer in made.files.items() if buffer.frame_offset}
+    previous, jitters = None, made.files["motion"].without_jitter
+    for k, frame in enumerate(rendered):
+        entry, at = frame.entry, {name: k + offset for name, offset in offsets.items()}
+        if any(not 0 <= index < len(rendered) for index in at.values()):
+            del made.frames[entry.file]
+            continue
+        frame.numbers = {name: rendered[index].number for name, index in at.items()}
+        entry.render_camera = entry.display_camera
+        entry.reset = entry.reset or previous is None
+        if jitters and frame.camera:
+            entry.geometry_jitter = (-frame.camera.jitter[0], -frame.camera.jitter[1])
+        frame.before = None if entry.reset else previous
+        previous = frame
+
+
+def _require_camera(made: _Capture, found: FoundCamera | None, label: str) -> None:
     """Raise GffeError if the camera lacks data that the buffers need."""
-    if made.depth.encoding == "device" and made.depth.near is None and (found is None or found.projection is None):
-        raise GffeError(f"{label}: device depth needs a projection matrix, or near and far in depth")
-    if made.depth.encoding == "device" and found is not None and found.projection is not None:
-        try:
-            refuse_oblique(found.projection)
-        except GffeError as error:
-            raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
+    if made.depth_planes:
+        if found is None or found.projection is None:
+            raise GffeError(f"{label}: device depth needs a projection matrix, or near_z and far_z in frame_format")
+        found.planes(made.rules)
+    elif made.format.depth == "device" and found is not None and found.projection is not None:
+        found.refuse_oblique()
     if found is None:
         for needs, what in (
-            (made.depth.encoding == "distance", "distances along the rays"),
-            (made.motion.to_next, "motion to the next frame"),
-            (made.motion.jitter_removed, "motion without jitter"),
+            (made.format.depth == "distance", "distances along the rays"),
+            (made.files["motion"].to_next, "motion to the next frame"),
+            (made.files["motion"].without_jitter, "motion without jitter"),
         ):
             if needs:
                 raise GffeError(f"{label}: {what} cannot be converted without a camera")
-
-
-def _camera_files(keys: Keys) -> Buffer | None:
-    pattern = keys.text("file")
-    return None if pattern is None else parse_buffer(Keys({"file": pattern}, "camera"), ("R",))
 
 
 def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, Any]]:

@@ -13,40 +13,39 @@ from typing import IO, Any
 import numpy as np
 from PIL import Image
 
-from gffe_cl.captures.formats.layers import Place, layers_of
-from gffe_cl.captures.sequence.exr import decoded, place_of, require_parts
+from gffe_cl.captures.formats.capture import Place, Size, layers_of
+from gffe_cl.captures.sequence.exr import decoded, place_of, placed, require_shown
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
 from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import open_regular, require_moderate
 
-Size = tuple[int, int]
 _EXR_MAGIC, _NPY_MAGIC, _PNG_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"\x89PNG\r\n\x1a\n"
 _PNG_HEADER, _PNG_CHANNELS = 26, {0: "Y", 2: "RGB", 3: "RGBA", 4: "YA", 6: "RGBA"}
 _RGBA = {"R": 0, "G": 1, "B": 2, "A": 3}
 _MOST_HEADER = 1 << 16
 
 
-def read_planes(path: Path, names: Ordered[str], label: str, size: Size) -> np.ndarray:
+def read_planes(path: Path, names: Ordered[str], label: str, size: Size, outside: float = 0.0) -> np.ndarray:
     """Return the channels `names` of the image at `path` as (H, W, C), in the type stored.
 
     Channels of PNG are R, G, B, A (gray is any of the first three), of NPY 0, 1, …, or R, G, B, A for the first four.
+    In EXR files pixels lie in the display window where the data window says; `outside` of it they are that value.
     Raises a GffeError that begins with `label` for a missing file or channel, another size than `size`, and damage.
     """
-    return _read(path, names, label, size, decode=True)
+    return _read(path, names, label, size, outside, decode=True)
 
 
-def check_planes(path: Path, names: Ordered[str], label: str, size: Size) -> tuple[ExrHeader, list[Place]] | None:
-    """Check an image as `read_planes` does, by headers only: no pixel is decoded. Return the header of an EXR file and
-    the places of the channels in it; None for other files."""
-    return _read(path, names, label, size, decode=False)
+def check_planes(path: Path, names: Ordered[str], label: str, size: Size) -> None:
+    """Check an image as `read_planes` does, by headers only: no pixel is decoded."""
+    _read(path, names, label, size, 0.0, decode=False)
 
 
-def _read(path, names, label, size, decode) -> Any:
+def _read(path, names, label, size, outside, decode) -> Any:
     try:
         with open_regular(path) as file:
             start = file.read(8)
         if start.startswith(_EXR_MAGIC):
-            return _exr(path, names, label, size, decode)
+            return _exr(path, names, label, size, outside, decode)
         if start == _PNG_MAGIC:
             return _png(path, names, label, size, decode)
         if start.startswith(_NPY_MAGIC):
@@ -58,11 +57,15 @@ def _read(path, names, label, size, decode) -> Any:
     raise GffeError(f"{label}: not an EXR, PNG or NPY file")
 
 
-def _exr(path, names, label, size, decode):
+def _exr(path, names, label, size, outside, decode):
     header = read_header(path, label)
     places = _places(header, names, label)
-    require_parts(header, {part for part, _ in places}, size, label)
-    return np.stack(decoded(path, header, places, label), -1) if decode else (header, places)
+    require_shown(header, {part for part, _ in places}, size, label)
+    if not decode:
+        return None
+    found = decoded(path, header, places, label)
+    parts = [header.parts[part] for part, _ in places]
+    return np.stack([placed(array, part, outside) for array, part in zip(found, parts, strict=True)], -1)
 
 
 def _places(header: ExrHeader, names, label) -> list[Place]:

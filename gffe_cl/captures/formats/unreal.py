@@ -12,10 +12,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from gffe_cl.captures.formats.capture import MOST_FRAMES, described, shown_part, through_window
+from gffe_cl.captures.formats.capture import (
+    MOST_FRAMES,
+    Place,
+    described,
+    layers_of,
+    missing_numbers,
+    number_of,
+    shown_part,
+    through_window,
+    visible_files,
+)
 from gffe_cl.captures.formats.flow import static_motion
-from gffe_cl.captures.formats.layers import Place, layers_of
-from gffe_cl.captures.formats.numbering import missing_numbers, number_of, visible_files
 from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.captures.sequence.exr import decoded, require_parts
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, read_header

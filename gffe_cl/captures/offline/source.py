@@ -146,7 +146,8 @@ class Recorded(Source):
             )
         before, self._window, self._cut = self._cut, window, window == "off" and self.windowed
         self.render_size = (self.width, self.height) if self._cut else self._stored
-        self.format = None if self._cut or self._upscale else self.sequence.format
+        is_own = self.sequence.exr_file(self.entries[0]) is not None  # frames are linked, else written as converted
+        self.format = self.sequence.format if is_own and not self._cut and not self._upscale else None
         return self._cut != before
 
     def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:

@@ -29,8 +29,8 @@ def described_frame(
     """
     (height, width), (rows, columns) = np.shape(frame.color)[:2], np.shape(frame.depth)
     size, geometry = (width, height), (columns, rows)
-    motion_type = None if frame.motion is None else type_of(frame.motion)
-    types = {"color": None, "depth": type_of(frame.depth), "motion": motion_type}
+    motion_type = None if frame.motion is None else _type_of(frame.motion)
+    types = {"color": None, "depth": _type_of(frame.depth), "motion": motion_type}
     jitter = jitter_in_color(frame.geometry_jitter, size, geometry)
     jitters = jitter, previous_jitter if previous else jitter
     given = conversion(format, size, types, {"color": 3, "motion": 2}, *jitters, geometry)
@@ -146,14 +146,14 @@ def _converted(
     frame: RenderedFrame, format: FrameFormat, previous: Camera | None, given: Mapping[str, Any]
 ) -> RenderedFrame:
     """Return `frame` in our conventions, but for the size of depth and motion."""
-    motion_type = None if frame.motion is None else type_of(frame.motion)
+    motion_type = None if frame.motion is None else _type_of(frame.motion)
     down = slice(None, None, -1 if format.rows == "up" else 1)
     depth = _depth(_values(frame.depth[down]), given)
     if format.depth == "distance":
         if frame.camera is None:
             raise GffeError("frame: distances need a camera to become planar depth")
         depth = _planar(depth, frame.camera, given["from_geometry"])
-    color = _color(frame.color[down], format)
+    color = color_of(frame.color, format)
     if frame.motion is None:
         return replace(frame, color=color, depth=depth.astype(np.float32))
     stored, (*factors, x, y) = frame.motion[down].astype(np.float64), given["given_motion"]
@@ -175,8 +175,10 @@ def _converted(
         return replace(frame, color=color, depth=depth.astype(np.float32), motion=vectors.astype(np.float32))
 
 
-def _color(color: np.ndarray, format: FrameFormat) -> np.ndarray:
-    """Return linear color (H, W, 3 or 4): floats as they are, integers as float32."""
+def color_of(color: np.ndarray, format: FrameFormat) -> np.ndarray:
+    """Return linear color (H, W, 3 or 4) of stored one, from the top row down: floats as they are, integers as
+    float32."""
+    color = color[::-1] if format.rows == "up" else color
     if color.dtype.kind != "f":
         color = color / np.float64(np.iinfo(color.dtype).max)
     if format.color_encoding == "srgb":
@@ -190,6 +192,10 @@ def _planar(distance: np.ndarray, camera: Camera, mapping: Sequence[float]) -> n
     across = ((x * mapping[0] + mapping[2] - camera.cx) / camera.fx) ** 2
     down = ((y * mapping[1] + mapping[3] - camera.cy) / camera.fy) ** 2
     return distance / np.sqrt(1 + across + down[:, None])
+
+
+def _type_of(array: np.ndarray) -> str:
+    return type_of(array) or "float32"  # float64, too
 
 
 def _values(depth: np.ndarray) -> np.ndarray:

@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
+from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, read_header
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import require_moderate
 from gffe_cl.engine.core.validation import as_float32, require_choice
@@ -114,6 +114,31 @@ def require_parts(header: ExrHeader, indices: Iterable[int], size, label: str) -
             raise GffeError(f"{label}: subsampled channels are not supported")
         if size is not None and part.size != tuple(size):
             raise GffeError(f"{label}: {_by(part.size)} pixels, expected {_by(size)}")
+
+
+def require_shown(header: ExrHeader, indices: Iterable[int], size: tuple[int, int], label: str) -> None:
+    """Raise GffeError unless parts, given by their numbers, show images of `size` = (width, height): their display
+    windows have it."""
+    require_parts(header, indices, None, label)
+    for part in (header.parts[index] for index in sorted(set(indices))):
+        if part.shown_size != tuple(size):
+            windows = f"a data window of {_by(part.size)} in a display window of {_by(part.shown_size)} pixels"
+            pixels = f"{_by(part.size)} pixels" if part.size == part.shown_size else windows
+            raise GffeError(f"{label}: {pixels}, expected {_by(size)}")
+
+
+def placed(array: np.ndarray, part: ExrPart, outside: float) -> np.ndarray:
+    """Return the image (H, W) of the display window of `part`, from that of its data window: cropped, and `outside`
+    where nothing is stored."""
+    (width, height), (left, top) = part.shown_size, part.offset
+    if part.size == (width, height) and not (left or top):
+        return array
+    kind = array.dtype if array.dtype.kind == "f" or outside == 0 else np.dtype(np.float64)
+    made = np.full((height, width), outside, kind)
+    x, y, right, bottom = max(left, 0), max(top, 0), min(left + part.size[0], width), min(top + part.size[1], height)
+    if x < right and y < bottom:
+        made[y:bottom, x:right] = array[y - top : bottom - top, x - left : right - left]
+    return made
 
 
 def stored_type(name: str, array, copy: bool = True) -> np.ndarray:

@@ -47,7 +47,7 @@ class OutputFolder:
 
     def open(self) -> None:
         """Create the folder to write into, or clear that of a run that was stopped."""
-        if self.path.exists() and not self.path.is_dir():
+        if os.path.lexists(self.path) and not self.path.is_dir():
             raise GffeError(f"{self.path}: is a file (expected a folder to write a sequence into)")
         stub = {"format": FORMAT, "generator": self.generator, "unfinished": True, "frames": []}
         try:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Protocol
 
 import numpy as np
 
@@ -31,11 +31,9 @@ OVERLAY_CHANNELS = {
 
 class Pixels(Protocol):
     """Pixels of frames, by their entries. `size` is (width, height) of the image. All methods raise GffeError that
-    names the file if it is missing or damaged. `notes`: warnings; `settings`: buffers of the capture's description, for
-    formats with an editable one."""
+    names the file if it is missing or damaged. `notes`: warnings."""
 
     notes: list[str]
-    settings: Any
 
     def read(
         self, entry: FrameEntry, size: tuple[int, int]
@@ -62,7 +60,7 @@ class OwnPixels:
 
     def __init__(self, folder: Path):
         self._folder = folder
-        self.notes, self.settings = [], None
+        self.notes = []
 
     def read(self, entry, size):
         path = self._folder / entry.place
@@ -94,7 +92,6 @@ class ForeignPixels:
 
     def __init__(self):
         self.notes: list[str] = []
-        self.settings: Any = None
 
     def read(self, entry, size):
         return *self.rendered(entry, size), None

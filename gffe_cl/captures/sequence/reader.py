@@ -24,7 +24,7 @@ from gffe_cl.captures.sequence.description import (
     require_one_size,
     without_collections,
 )
-from gffe_cl.captures.sequence.engine_form import described_frame
+from gffe_cl.captures.sequence.engine_form import color_of, described_frame
 from gffe_cl.captures.sequence.exr_layout import read_header
 from gffe_cl.captures.sequence.header_camera import has_camera, header_cameras
 from gffe_cl.captures.sequence.matching import Timeline
@@ -140,11 +140,6 @@ class Sequence:
         return self._timeline.near_miss(*_moment(kind, time))
 
     @property
-    def settings(self) -> Any:
-        """The buffers' part of the capture's description, for formats with an editable one; else None."""
-        return self._pixels.settings
-
-    @property
     def notes(self) -> list[str]:
         """Remarks of the reader of the capture's form on opening it."""
         text = json.dumps(self.format.to_json()) if self.format else ""
@@ -236,7 +231,8 @@ class Sequence:
 
     def read_color(self, entry: FrameEntry) -> np.ndarray:
         """Return linear RGB of any frame: (H, W, 3), float16 or float32 as stored."""
-        return self._pixels.color(entry, self.size_of(entry))
+        color = self._pixels.color(entry, self.size_of(entry))
+        return color_of(color, self.format) if self.format and entry.kind == "rendered" else color
 
     def exr_file(self, entry: FrameEntry) -> Path | None:
         """Return the EXR file that holds the frame in our own form; None in captures of another one."""

@@ -157,11 +157,14 @@ class SequenceWriter:
 
     def add_frame(self, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Write the rendered frame `frame`, of arrays, with its overlays. Size and jitter of its geometry replace those
-        of `entry`. Raises GffeError as `add` does."""
+        of `entry`; integer colors are from 0 to 1. Raises GffeError as `add` does."""
         require_kind(entry, FrameEntry, "entry")
         require_kind(frame, RenderedFrame, "frame")
         entry = replace(entry, geometry_size=frame.geometry_size, geometry_jitter=frame.geometry_jitter)
-        self.add(entry, named_channels(frame.color, frame.depth, frame.motion, frame.overlays))
+        color = np.asarray(frame.color)
+        if color.dtype in (np.uint8, np.uint16):  # as a `FrameFormat` describes them
+            color = (color / np.float64(np.iinfo(color.dtype).max)).astype(np.float32)
+        self.add(entry, named_channels(color, frame.depth, frame.motion, frame.overlays))
 
     def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
         """Add the existing EXR file `source_path` as the frame `entry`: a hard link, or else a copy."""

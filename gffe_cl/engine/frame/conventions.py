@@ -28,6 +28,7 @@ LAYOUTS = ("auto", "row-major", "column-major")
 DIRECTIONS = {"to_previous": 1.0, "from_previous": -1.0}
 _ZERO = 1e-6  # of the largest entry
 _SAME = 1e-9
+MOST_PLANES = 1e30  # times the near plane: beyond, a plane is infinitely far
 _SLACK = 1e-3  # by which infinitely far planes are moved against rounding errors
 
 
@@ -251,6 +252,19 @@ def decides_depth_range(projection: np.ndarray) -> bool:
     """Return whether a perspective projection (4, 4), for column vectors, determines the range of the values in its
     depth buffer. Planes that are not reversed can be meant for 0 … 1 and for −1 … 1."""
     return _reversed_to_zero(*_depth_terms(_perspective(projection)))
+
+
+def planes_of(projection: np.ndarray, opengl_buffer: bool) -> tuple[float, float]:
+    """Return planar depth where a depth buffer of a perspective projection (4, 4), for column vectors, holds 0 and 1;
+    infinity for a plane that far. `opengl_buffer` as in `depth_from_device`. Raises GffeError for other projections."""
+    p = _perspective(projection)
+    a, b = _depth_terms(p)
+    if b == 0:
+        raise GffeError("camera: projection gives every depth the same value (expected two planes)")
+    in_device = (-1.0, 1.0) if opengl_buffer and not _reversed_to_zero(a, b) else (0.0, 1.0)
+    ends = [math.inf if value == a else b / (value - a) for value in in_device]
+    first, second = (math.inf if end < 0 or end > MOST_PLANES * min(map(abs, ends)) else end for end in ends)
+    return first, second
 
 
 def depth_planes(projection: np.ndarray, inverted: bool) -> tuple[float, float]:

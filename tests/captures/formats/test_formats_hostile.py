@@ -118,7 +118,7 @@ def test_bombs_of_zeros_that_the_json_does_not_announce(folder):
 )
 @pytest.mark.parametrize("name", ["cameras.json", "sequence.json"])
 def test_json(tmp_path, name, text, words):
-    start = '{"format": "gffe-folder", ' if name == "sequence.json" and text.startswith('{"width') else ""
+    start = '{"format": "gffe-folder", "version": 2, ' if name == "sequence.json" and text.startswith('{"width') else ""
     (tmp_path / name).write_text(start + (text[1:] if start else text))
     refused(tmp_path, f"({words}|not a sequence|must be an object|is missing|frames must be)")
 

@@ -108,9 +108,9 @@ def test_names_in_a_locale_without_them(folder):
 def test_libraries_warn_nobody(tmp_path, monkeypatch, capsys):
     """NumPy warns of headers that Python 2 wrote, on whichever thread reads them."""
     (tmp_path / "sequence.json").write_text(
-        '{"format": "gffe-folder", "version": 1, "width": 2, "height": 2, "fps": 30, "frames": {"count": 1},'
-        '"color": {"file": "c%d.npy"}, "depth": {"file": "c%d.npy"}, "motion": {"file": "c%d.npy"},'
-        '"camera": {"list": [{"view": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "fx": 1}]}}'
+        '{"format": "gffe-folder", "version": 2, "width": 2, "height": 2, "fps": 30, "frames": {"count": 1},'
+        '"files": {"color": "c%d.npy", "depth": "c%d.npy", "motion": "c%d.npy"},'
+        '"cameras": {"list": [{"view": [[1,0,0,0],[0,1,0,0],[0,0,1,0],[0,0,0,1]], "fx": 1}]}}'
     )
     header = b"{'descr': '<f4', 'fortran_order': False, 'shape': (2L, 2L, 7L)}\n"
     (tmp_path / "c0.npy").write_bytes(b"\x93NUMPY\x01\x00" + len(header).to_bytes(2, "little") + header)

@@ -75,6 +75,6 @@ def test_one_name_in_several_parts_is_refused(tmp_path, form):
         open_capture(tmp_path)
     if form == "folder":
         named = {"file": "f%d.exr", "channels": ["rgba.R", "rgba.G", "rgba.B"]}
-        edit_json(tmp_path / "sequence.json", lambda said: said.update(color=named))
+        edit_json(tmp_path / "sequence.json", lambda said: said["files"].update(color=named))
         sequence = open_capture(tmp_path)
         np.testing.assert_array_equal(sequence.read_color(sequence.rendered[0]), frames()[0].color)

@@ -7,11 +7,19 @@ from typing import Any
 
 import numpy as np
 
-from gffe_cl.captures.formats.images import Size
-from gffe_cl.captures.formats.json_schema import Keys
+from gffe_cl.captures.formats.capture import Keys, Size
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_bool, require_vector
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.conventions import LAYOUTS, matrices, rigid, square
+from gffe_cl.engine.frame.conventions import (
+    LAYOUTS,
+    decides_depth_range,
+    matrices,
+    planes_of,
+    refuse_oblique,
+    rigid,
+    square,
+)
 
 # Constructors of a camera from view and projection, and the view's axes if there is no projection.
 CONVENTIONS = {
@@ -40,17 +48,48 @@ class CameraRules:
     jitter_unit: str
     jitter_up: bool
     jitter_in_projection: bool
+    opengl_buffer: bool | None  # None: as the convention has it
 
 
 @dataclass(frozen=True)
 class FoundCamera:
     """Camera of a frame; its projection matrix for column vectors, if it was given, and the factor from its unit to our
-    world units; its jitter (x, y) in pixels, y down."""
+    world units; its jitter (x, y) in pixels, y down; `label` for errors."""
 
     camera: Camera
     projection: np.ndarray | None
     scale: float
     jitter: tuple[float, float]
+    label: str
+
+    def planes(self, rules: CameraRules) -> tuple[float, float]:
+        """Return planar depth, world units, where a depth buffer of the projection holds 0 and 1. Raises GffeError for
+        an oblique near plane."""
+        self.refuse_oblique()
+        assert self.projection is not None
+        opengl = rules.convention == "opengl" if rules.opengl_buffer is None else rules.opengl_buffer
+        first, second = planes_of(self.projection, opengl)
+        first, second = (float(f"{end * self.scale:.10g}") for end in (first, second))
+        return first, second
+
+    def refuse_oblique(self) -> None:
+        assert self.projection is not None
+        try:
+            refuse_oblique(self.projection)
+        except GffeError as error:
+            raise GffeError(f"{self.label}: {str(error).removeprefix('camera: ')}") from None
+
+    def range_note(self, rules: CameraRules) -> str | None:
+        """Return a sentence where neither the description nor the projection determines the range of a depth buffer of
+        OpenGL, else None."""
+        if rules.convention != "opengl" or rules.opengl_buffer is not None or self.projection is None:
+            return None
+        if decides_depth_range(self.projection):
+            return None
+        return (
+            "depth: the matrix does not tell whether 0 … 1 in the buffer is −1 … 1 in device coordinates: it is taken"
+            ' for that, as without glClipControl (expected "opengl_buffer": true or false in cameras)'
+        )
 
 
 def parse_rules(keys: Keys) -> CameraRules:
@@ -59,10 +98,11 @@ def parse_rules(keys: Keys) -> CameraRules:
         keys.choice("convention", tuple(CONVENTIONS), "gffe"),
         keys.choice("layout", LAYOUTS, "auto"),
         keys.choice("matrix", ("world_to_view", "view_to_world"), "world_to_view") == "view_to_world",
-        keys.number("scale", 1.0),
+        keys.number("scale", 1.0) or 0.0,
         jitter.choice("unit", tuple(UNITS), "pixels"),
         jitter.choice("y", ("down", "up"), "down") == "up",
         jitter.flag("in_projection", True),
+        None if (opengl := keys.take("opengl_buffer")) is None else require_bool(opengl, "cameras, opengl_buffer"),
     )
     jitter.done()
     if not made.scale > 0:
@@ -74,7 +114,7 @@ def parse_camera(document: Any, rules: CameraRules, size: Size, label: str) -> F
     """Return the camera in the object `document` on an image of `size`. Raises a GffeError that begins with `label`."""
     keys = Keys(document, label)
     view, projection = keys.take("view"), keys.take("projection")
-    jitter = keys.numbers("jitter", 2, (0.0, 0.0))
+    jitter = require_vector(keys.take("jitter", (0.0, 0.0)), f"{label}, jitter", 2).tolist()
     focal = {name: keys.number(name) for name in ("fx", "fy", "cx", "cy", "fov_x", "fov_y")}
     keys.done()
     try:
@@ -95,7 +135,7 @@ def parse_camera(document: Any, rules: CameraRules, size: Size, label: str) -> F
         matrix = made.world_to_view.copy()
         matrix[:3, 3] *= rules.scale
         made = replace(made, world_to_view=matrix)
-    return FoundCamera(made, p, rules.scale, moved)
+    return FoundCamera(made, p, rules.scale, moved, label)
 
 
 def _inverted(view: np.ndarray, projection: np.ndarray, rules: CameraRules) -> tuple[np.ndarray, np.ndarray]:
