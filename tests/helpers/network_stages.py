@@ -46,14 +46,14 @@ def made_stages(device, size, exposure=1.0, seed=1):
     motion = rng.uniform(-2, 2, (*depth.shape, 2)).astype(np.float32)
     color[rng.random(depth.shape) < 0.01] = np.nan
     motion[rng.random(depth.shape) < 0.1] = np.inf
-    board.previous = DeviceFrame.allocate(device, size, before, before, 0.0)
-    copy_to(device, board.previous, of_arrays(color, depth, motion))
-    board.rendered = board.previous
+    board.bindings.previous = DeviceFrame.allocate(device, size, before, before, 0.0)
+    copy_to(device, board.bindings.previous, of_arrays(color, depth, motion))
+    board.bindings.rendered = board.bindings.previous
     frame, some = board.frame, rng.random((2, *depth.shape)) < 0.1
     color, depth = images(size, rng)
     put(frame, color=color, depth=depth, motion=motion[::-1])
     put(frame, dynamic=some[0].astype(np.uint8), disoccluded=some[1].astype(np.uint8))
-    step = Step(board.rendered, board.previous, [1.0, 0.0], now, 1.5, 0.5, exposure)
+    step = Step(board.bindings.rendered, board.bindings.previous, [1.0, 0.0], now, 1.5, 0.5, exposure)
     for stage in (ShadingInputs, ShadingTrend, NetworkInput, ShadingFlow, Convolutions):
         stage(board)
     correction = ShadingCorrection(board, load=False)

@@ -182,7 +182,7 @@ class Seeker:
         pipeline.exposure = self.source.exposure
         pipeline.submit(self.stored or frame)
         if self.stored:  # the pipeline has converted it
-            self.converted, on_device = frame, pipeline.board.rendered
+            self.converted, on_device = frame, pipeline.board.bindings.rendered
             assert on_device is not None  # as it was submitted
             color, depth, motion = on_device.buffers
             frame = replace(frame, color=color, depth=depth, motion=motion)

@@ -148,7 +148,7 @@ class _Rehearsal:
         step, composition = self._step(number, first), self.all[Composition.name]
         rendered = replace(step, camera=None)
         shown = self.board.device.buffer(1)
-        self.board.show(step.frame, step.previous)
+        self.board.bindings.show(step.frame, step.previous)
         self._learn_names()
         self.tape.names[id(shown)] = "shown.color"
         composition.swap()  # `take` swaps, too

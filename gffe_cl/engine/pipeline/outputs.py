@@ -136,7 +136,7 @@ class Outputs:
         if wanted == self._wanted:
             return
         self._wanted = wanted if wanted is None else set(wanted)
-        self._board.scripts.clear()
+        self._board.bindings.forget_scripts()
         for stage in self._stages.values():
             stage.look_at(wanted)
         found: dict[str, list[BufferSpec]] = {}

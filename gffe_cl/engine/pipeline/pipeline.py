@@ -32,7 +32,7 @@ from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
-from gffe_cl.engine.stages.correction import INPUTS, ShadingCorrection
+from gffe_cl.engine.stages.correction import INPUTS, Correcting, ShadingCorrection
 from gffe_cl.engine.stages.intake import Intake
 from gffe_cl.engine.stages.measures import SceneCuts
 from gffe_cl.engine.stages.memory import footprint, require_room
@@ -123,6 +123,7 @@ class Pipeline:
         self.options = options
         self.stages: dict[str, Any] = dict(self.board.stages)
         self._correction: ShadingCorrection | None = self.stages.get(ShadingCorrection.name)
+        self.correcting: Correcting | None = None  # the last new frame, if a thread works on it beside the device
         self._outputs = Outputs(self.board, self.stages)
         self.frames = RenderedFrames(self.board, self.fps)
         self.display = Display(self.board, self.frames)
@@ -248,7 +249,7 @@ class Pipeline:
         )
         frames.take(taken, frame.reset, exposure)
         board.swap()
-        board.show(taken, frames.previous)
+        board.bindings.show(taken, frames.previous)
         worked = self._take_rendered()
         self._is_cut = None if SceneCuts.name in self.stages and frames.previous else False
         self.display.prepare()
@@ -260,7 +261,7 @@ class Pipeline:
 
     def _take_rendered(self) -> cl.Event | None:
         """Enqueue the stages' work on the current frame. Returns the event of `Board.perform`."""
-        return self.board.perform(self.frames.step(), self.stages.values(), ())
+        return self.board.perform(self.frames.step(), self.stages.values())
 
     def _decide_cut(self) -> None:
         """Decide whether the current frame is a cut, and work on it again as on a reset if it is."""
@@ -269,7 +270,7 @@ class Pipeline:
             if self._is_cut:
                 self.intake.leave(marker(self.device.queue), self.frames.previous)
                 self.frames.forget()
-                self.board.show(self.frames.needed, None)
+                self.board.bindings.show(self.frames.needed, None)
                 self._take_rendered()
 
     @property
@@ -361,18 +362,13 @@ class Pipeline:
         step = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
         self._finish()
         wait_for_all(self.device.queue, events)
-        correction = self._correction
-        works_beside = bool(correction and frames.previous and correction.works_beside)
-        is_decided_here = correction and not correction.runs_on_device  # whether a frame is still
-        is_special = target_position is not None or seen_through or self._outputs.kept or is_decided_here
-        circumstances = None if is_special else (frames.coded, correction and correction.asked)
-        stages: Iterable[Any] = self.stages.values()
-        if works_beside:
+        correction, stages = self._correction, list(self.stages.values())
+        beside = bool(correction and frames.previous and correction.works_beside)
+        if beside:
             stages = [stage for stage in stages if not isinstance(stage, (*INPUTS, ShadingCorrection))]
-        worked = self.board.perform(step, stages, circumstances, self._outputs.keep if self._outputs.kept else None)
+        worked = self.board.perform(step, stages, self._outputs.keep if self._outputs.kept else None)
         frames.note_made(step)
-        if works_beside and correction:
-            correction.begin(step)
+        self.correcting = correction.begin(step) if beside and correction else None
         gae, depth, motion, dynamic, disoccluded, filled_by = self.board.frame.buffer.values()
         color = self._outputs.picture("extrapolated") or gae
         if composition := self.intake.overlaid:
@@ -400,17 +396,18 @@ class Pipeline:
     @property
     def _unfinished(self) -> Callable[[], None] | None:
         """Function that makes the final image of the last frame, if that still waits for the network; else None."""
-        correction = self._correction
-        return partial(self.turns.read, correction.finish) if correction and correction.is_begun else None
+        correcting = self.correcting
+        return partial(self.turns.read, correcting.result) if correcting and not correcting.done() else None
 
     def _settle(self) -> None:
         """Wait until a thread of the network has enqueued its kernels, which belong before all others."""
-        if correction := self._correction:
-            correction.settle()
+        if self.correcting:
+            self.correcting.wait_until_enqueued()
 
     def _finish(self) -> None:
-        if correction := self._correction:
-            correction.finish()
+        """Wait for the network, and enqueue the work after it."""
+        if self.correcting:
+            self.correcting.result()
 
     # ---- looking inside --------------------------------------------------------------------------------
 

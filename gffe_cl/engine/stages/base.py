@@ -6,9 +6,8 @@ of stages and memory.
 
 from __future__ import annotations
 
-import operator
 from array import array
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
 from functools import cached_property
 from typing import Any, ClassVar, NamedTuple
@@ -116,6 +115,68 @@ class Step:
         return board.writer.write(*rendered, self.camera, self.time, self.alpha, self.rest, self.given)
 
 
+class Bindings:
+    """Which buffers are bound, and what may be replayed.
+
+    Bound are those of the rendered frame and of the one `previous` to it, which is the frame itself after a reset; and
+    the results of each stage, which swap with those of the frame before. What is enqueued may be replayed while stages
+    have the same buffers (`turn`); arguments that are buffers of rendered frames are set again for other ones
+    (`frames`), however many sets of buffers an engine has.
+    """
+
+    def __init__(self) -> None:
+        self.rendered: DeviceFrame | None = None
+        self.previous: DeviceFrame | None = None
+        self.frames = object()  # another one for each rendered frame
+        self.turn = 0  # a bit of each stage, which changes when its buffers and those of the frame before do
+        self._bits = 0  # of the stages so far
+        self._scripts: dict[tuple, Script] = {}
+        # By `turn`: the turn after `swap`, and the buffers of stages then, and those of the frame before.
+        self._swapped: dict[int, tuple[int, list[tuple[Stage, dict, dict]]]] = {}
+
+    def new_bit(self) -> int:
+        """Return the bit in `turn` of one more stage."""
+        self._bits += 1
+        return 1 << (self._bits - 1)
+
+    def show(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
+        """Bind the buffers of the rendered frame, and of the one before (None: after a reset)."""
+        self.rendered, self.previous, self.frames = frame, previous or frame, object()
+
+    def swap(self, stages: list[Stage], place: Callable[[], None]) -> None:
+        """Make the results of `stages` those of the frame before, and `place` borrowed buffers. Each turn does so
+        once: then it is known."""
+        turn = self.turn
+        if known := self._swapped.get(turn):
+            self.turn, found = known
+            for stage, buffer, before in found:
+                stage.buffer, stage.before = buffer, before
+            return
+        held = [(stage, stage.buffer) for stage in stages]
+        for stage, _ in held:
+            stage.swap()
+        place()
+        found = [(stage, stage.buffer, stage.before) for stage, buffer in held if stage.buffer is not buffer]
+        self._swapped[turn] = self.turn, found
+
+    def script(self, *key: Any) -> Script | None:
+        """Return what was enqueued for a step of this kind with the buffers that stages have now."""
+        return self._scripts.get((self.turn, *key))
+
+    def remember(self, script: Script, *key: Any) -> None:
+        """Note what was enqueued for a step of this kind."""
+        self._scripts[self.turn, *key] = script
+
+    def forget_scripts(self) -> None:
+        """Replay nothing that was enqueued so far: stages will work otherwise."""
+        self._scripts.clear()
+
+    def let_go(self) -> None:
+        """Drop the references to stages and their kernels."""
+        self._scripts.clear()
+        self._swapped.clear()
+
+
 class Board:
     """Board on which stages find each other's buffers, and on which they lend each other memory.
 
@@ -129,19 +190,8 @@ class Board:
         self.int64 = device.int64_atomics if int64 is None else int64
         # Members of the frame block that do not change; stages add theirs.
         self.facts = block_facts(self.options, sizes)
-        # A bit for the rendered frames, and one for each stage, which changes whenever its buffers and those of the
-        # frame before do.
-        self.turn = 0
-        self.members = 1  # the rendered frames, and stages so far
-        self.rendered: DeviceFrame | None = None
-        self.previous: DeviceFrame | None = None  # the rendered frame itself if there is none before
-        self.shown = object()  # the same as long as the buffers of both are, in turns
-        self._alike = False  # whether the rendered frame has the buffers of the frame two before it
-        self._shown = [object(), object()]  # by the rendered frames' bit in `turn`
+        self.bindings = Bindings()
         self.commands = Commands(device)
-        self.scripts: dict[tuple, Script] = {}  # by what they depend on
-        # By `turn`: the turn after `swap`, and the buffers of stages then, and those of the frame before.
-        self._swapped: dict[int, tuple[int, list[tuple[Stage, dict, dict]]]] = {}
         self.blocks = FrameBlocks(self)
 
     @cached_property
@@ -154,51 +204,23 @@ class Board:
         """The writer of frame blocks. No stage may add facts once it was used."""
         return BlockWriter(self.sizes, self.facts)
 
-    def show(self, frame: DeviceFrame, previous: DeviceFrame | None) -> None:
-        """Make `frame` the rendered frame, after `previous` (None: after a reset).
-
-        Kernels have their arguments for either turn. They are set again unless the buffers of both frames are those of
-        two frames before, which the board still holds.
-        """
-        before, alike = self.previous if self.previous is not self.rendered else None, self._alike
-        self._alike = before is not None and all(map(operator.is_, frame.buffers, before.buffers))
-        if frame is not self.rendered:
-            self.turn ^= 1
-        if not (previous and alike and self._alike):
-            self._shown[self.turn & 1] = object()
-        self.rendered, self.previous, self.shown = frame, previous or frame, self._shown[self.turn & 1]
-
     def swap(self) -> None:
         """Make the results of all stages those of the frame before, and place borrowed buffers, before any works on a
         rendered frame."""
-        turn = self.turn
-        if known := self._swapped.get(turn):
-            self.turn, found = known
-            for stage, buffer, before in found:
-                stage.buffer, stage.before = buffer, before
-            return
-        held = [(stage, stage.buffer) for stage in self.stages.values() if not stage.swaps_alone]
-        for stage, _ in held:
-            stage.swap()
-        self.memory.place()
-        found = [(stage, stage.buffer, stage.before) for stage, buffer in held if stage.buffer is not buffer]
-        self._swapped[turn] = self.turn, found
+        self.bindings.swap([stage for stage in self.stages.values() if not stage.swaps_alone], self.memory.place)
 
-    def perform(
-        self, step: Step, stages: Iterable[Any], circumstances: tuple | None, after: Callable[[Any], None] | None = None
-    ) -> cl.Event | None:
-        """Do the work of `stages` on a step, and call `after` with each. What they enqueue depends on the
-        `circumstances` alone, besides `turn` and whether there is a previous frame: it is enqueued again while these
-        are the same. None: it depends on more. Returns the event with which all work is complete, if there is one
+    def perform(self, step: Step, stages: Iterable[Any], after: Callable[[Any], None] | None = None) -> cl.Event | None:
+        """Do the work of `stages` on a step, and call `after` with each, or enqueue once more what they enqueued for an
+        earlier step, if it may be replayed. Returns the event with which all work is complete, if there is one
         already."""
-        key, script = (), None
-        if circumstances is not None:
-            key = self.turn, step.slot, step.previous is None, *circumstances
-            script = self.scripts.get(key)
-            if script:
+        bindings, script, stages = self.bindings, None, list(stages)
+        variants = [stage.variant(step) for stage in stages]
+        if after is None and None not in variants:
+            key = step.slot, step.previous is None, *variants
+            if found := bindings.script(*key):
                 self.blocks.held[step.slot] = step.key
-                script.show(self.shown, self.buffer)
-                return self.commands.repeat(script, step.block(self))
+                found.show(bindings.frames, self.buffer)
+                return self.commands.repeat(found, step.block(self))
             script = Script()
         self.commands.script = script
         try:
@@ -212,7 +234,7 @@ class Board:
         finally:
             self.commands.script = None
         if script:
-            self.scripts[key] = script
+            bindings.remember(script, *key)
         return None
 
     def __del__(self):
@@ -224,8 +246,7 @@ class Board:
         for stage in self.stages.values():
             stage.let_go()
         self.stages.clear()
-        self.scripts.clear()
-        self._swapped.clear()
+        self.bindings.let_go()
         with self.device.opened.lock:
             self.memory.let_go()
         self.__dict__.pop("blocks", None)
@@ -235,7 +256,7 @@ class Board:
         members of the frame block that they must leave it alone, but for a list's length. Raises KeyError if the owner
         has no such buffer."""
         if owner in ("rendered", "previous"):
-            return getattr(getattr(self, owner), name)
+            return getattr(getattr(self.bindings, owner), name)
         if owner == "frame":
             return self.frame.buffer[name]
         stage = self.stages.get(owner)
@@ -270,8 +291,7 @@ class Stage(Owner):
     def __init__(self, board: Board, **variant: int):
         super().__init__(board.device, board.sizes)
         self.board = board
-        self._bit = 1 << board.members
-        board.members += 1
+        self._bit = board.bindings.new_bit()
         borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
@@ -310,6 +330,11 @@ class Stage(Owner):
     def extrapolated(self, step: Step) -> None:
         """Work on a new frame, in the order of the stages."""
 
+    def variant(self, step: Step) -> Hashable | None:
+        """Return what the stage enqueues for a step by, besides bound buffers and options; None: by more, so that it
+        cannot be replayed."""
+        return True
+
     @classmethod
     def outputs(cls) -> tuple[str, ...]:
         """Return the names of the buffers of the extrapolated frame that the stage writes."""
@@ -323,7 +348,7 @@ class Stage(Owner):
     def swap(self) -> None:
         """Make the results those of the frame before."""
         if self.before:
-            self.board.turn ^= self._bit
+            self.board.bindings.turn ^= self._bit
             results = {name: self.buffer[name] for name in self.before}
             self.buffer, self.before = self.buffer | self.before, results
 
@@ -342,7 +367,7 @@ class Stage(Owner):
                 board.blocks.held[slot] = step.key
             elif board.blocks.held.get(slot) is not step.key:
                 board.blocks.set(step)
-        key = board.turn, name, slot
+        key = board.bindings.turn, name, slot
         if given:
             changing = self._changing[name]
             key += (*given, *(value for argument, value in given.items() if argument not in changing))
@@ -352,7 +377,7 @@ class Stage(Owner):
             if len(self._prepared) == _PREPARED:
                 self._prepared.clear()
             self._prepared[key] = launch
-        launch.show(board.shown, board.buffer)
+        launch.show(board.bindings.frames, board.buffer)
         for set_arg, index, argument in launch.given:
             set_arg(index, given[argument])
         if launch.block and step is not None:

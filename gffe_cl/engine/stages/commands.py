@@ -22,7 +22,7 @@ class Launch:
     """A launch of a stage's kernel whose arguments stay set: the `kernel` object is its own.
 
     `of_frames` are the arguments that change with the buffers of the rendered frames: the method that sets them, index,
-    owner ("rendered" or "previous") and name; `shown`: the frames (`Board.shown`) to which they are set. `given` are
+    owner ("rendered" or "previous") and name; `shown`: the `Bindings.frames` to which they are set. `given` are
     buffers that come with each launch: method, index, name. Nothing keeps a reference to these buffers: callers' memory
     is released when they drop it. `block` is the argument by which a kernel brings the frame block: method, index.
     `declared` is the stage's declaration, `slot` that of the frame block.

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import time
-from collections.abc import Mapping
-from concurrent.futures import Future, ThreadPoolExecutor, wait
+from collections.abc import Hashable, Mapping
+from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -151,8 +151,6 @@ class ShadingCorrection(Stage):
         self._true = board.device.buffer(4)
         cl.enqueue_fill_buffer(board.device.queue, self._true, np.ones(1, np.int32), 0, 4)
         self._worker: ThreadPoolExecutor | None = None
-        # The frame in work, what is enqueued for it, and the network's run.
-        self._begun: tuple[Step, Future[list[cl.Event] | None], Future[None]] | None = None
 
     @cached_property
     def _views(self) -> tuple[HostView, HostView, HostView]:
@@ -179,6 +177,11 @@ class ShadingCorrection(Stage):
     def look_at(self, names: set[str] | None) -> None:
         self.with_refined = names is None or "correction.refined" in names
 
+    def variant(self, step: Step) -> Hashable | None:
+        if step.slot == "rendered":
+            return True
+        return self.asked if self.runs_on_device else None
+
     def extrapolated(self, step: Step) -> None:
         """Make the final image of the filled frame; waits for onnxruntime, if that runs the network. A still frame has
         nothing to correct."""
@@ -189,18 +192,11 @@ class ShadingCorrection(Stage):
                 self.infer()
             self._correct(step)
 
-    def begin(self, step: Step) -> None:
-        """Do the work of `INPUTS` and `extrapolated` in a thread of its own until `finish`: wait for the decision
-        whether the frame is still, enqueue the kernels before the network, and run the network. Until `settle` only
+    def begin(self, step: Step) -> Correcting:
+        """Begin the work of `INPUTS` and `extrapolated` in a thread of its own. Until it has enqueued its kernels, only
         that thread may launch kernels of these stages, and the rendered frame must stay the same."""
         self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
-        prepared = self._worker.submit(self._prepare, step)
-        self._begun = step, prepared, self._worker.submit(self._run_prepared, prepared)
-
-    def settle(self) -> None:
-        """Wait until the kernels that `begin` has to enqueue are enqueued."""
-        if self._begun is not None:
-            wait([self._begun[1]])
+        return Correcting(self, step, self._worker)
 
     def _prepare(self, step: Step) -> list[cl.Event] | None:
         """Enqueue the work before the network, and return the events to wait for, or None for a still frame."""
@@ -212,28 +208,6 @@ class ShadingCorrection(Stage):
         events = self._open()
         self.device.queue.flush()
         return events
-
-    def _run_prepared(self, prepared: Future[list[cl.Event] | None]) -> None:
-        events = prepared.result()
-        if events is not None:
-            self._run(events)
-
-    @property
-    def is_begun(self) -> bool:
-        """Whether a call of `finish` is pending."""
-        return self._begun is not None
-
-    def finish(self) -> None:
-        """Wait for the network and make the final image, if that is still to be done."""
-        if self._begun is None:
-            return
-        (step, prepared, job), self._begun = self._begun, None
-        try:
-            job.result()
-        finally:
-            self._close()
-        if prepared.result() is not None:
-            self._correct(step, changed=self._true)  # the stage that found it may have seen the next frame
 
     def _correct(self, step: Step, **given: Any) -> None:
         within_mask = self.board.options.focus_mask
@@ -315,3 +289,40 @@ class ShadingCorrection(Stage):
             taken["network copies"] = copying
         self._network_milliseconds = self._copying_milliseconds = 0.0
         return taken
+
+
+class Correcting:
+    """The final image of one new frame, which a thread makes beside the device, as a Future: it waits for the decision
+    whether the frame is still, enqueues the kernels before the network, and runs the network."""
+
+    def __init__(self, stage: ShadingCorrection, step: Step, worker: ThreadPoolExecutor):
+        self._stage = stage
+        self._step: Step | None = step  # until the work after the network is enqueued: it holds callers' buffers
+        self._prepared = worker.submit(stage._prepare, step)
+        self._ran = worker.submit(self._run)
+
+    def _run(self) -> None:
+        if (events := self._prepared.result()) is not None:
+            self._stage._run(events)
+
+    def wait_until_enqueued(self) -> None:
+        """Wait until the kernels before the network are enqueued."""
+        if self._step is not None:
+            wait([self._prepared])
+
+    def done(self) -> bool:
+        """Return whether the work after the network is enqueued."""
+        return self._step is None
+
+    def result(self) -> None:
+        """Wait for the network, and enqueue the work after it, once."""
+        step, self._step = self._step, None
+        if step is None:
+            return
+        try:
+            self._ran.result()
+        finally:
+            self._stage._close()
+        if self._prepared.result() is not None:
+            # The stage that found what has changed may have seen the next frame.
+            self._stage._correct(step, changed=self._stage._true)

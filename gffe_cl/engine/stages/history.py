@@ -3,7 +3,7 @@ of movers, and the prediction of positions (paper: 'Position estimation')."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
+from collections.abc import Hashable, Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -345,6 +345,9 @@ class PositionPrediction(NearestStage):
         board.facts["bends"] = Acceleration.name in board.stages
         board.facts["dilates"] = self.dilates = not board.options.warps_footprints
         super().__init__(board)
+
+    def variant(self, step: Step) -> Hashable | None:
+        return True if step.target_position is None else None
 
     def extrapolated(self, step: Step) -> None:
         if step.target_position is not None:

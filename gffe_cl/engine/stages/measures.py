@@ -137,7 +137,8 @@ class SceneCuts(Stage):
         if self._counted is None:
             return False
         self._counted.wait()
-        frame, previous, before = self.board.rendered, self.board.previous, self._camera_step
+        bindings = self.board.bindings
+        frame, previous, before = bindings.rendered, bindings.previous, self._camera_step
         assert frame and previous  # as samples of both were counted
         self._counted, self._camera_step = None, distance(frame.camera, previous.camera)
         jumped = before is not None and self._camera_step > TELEPORT * before

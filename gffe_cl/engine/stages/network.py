@@ -180,7 +180,7 @@ class Convolutions(Stage):
         images = [_image_spec(image) for image in network.images] if network else []
         specs, buffers = [*type(self).buffers, *images], {_NOTHING: self.buffer[_NOTHING]} | self.allocate(images)
         self._prepared.clear()
-        self.board.scripts.clear()
+        self.board.bindings.forget_scripts()
         self.layers = []
         for number, layer in enumerate(network.layers if network else ()):
             arrays = {"numbers": numbers_of(layer)}

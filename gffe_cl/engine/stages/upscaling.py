@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Hashable, Mapping
 from dataclasses import replace
 from typing import ClassVar
 
@@ -124,6 +124,9 @@ class Upscaling(Stage):
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
         return options.upscale > 0
+
+    def variant(self, step: Step) -> Hashable | None:
+        return None if step.geometry else True
 
     def rendered(self, step: Step) -> None:
         """Add the rendered frame to the history."""

@@ -3,6 +3,7 @@ crack closing and sub-pixel resampling, and the dilated warp of the preset "perf
 
 from __future__ import annotations
 
+from collections.abc import Hashable
 from dataclasses import replace
 
 import numpy as np
@@ -165,6 +166,9 @@ class ColorCode(Stage):
     def __init__(self, board: Board):
         board.facts["code_offset"] = _OFFSET if board.options.resampling == "perceptual" else 0.0
         super().__init__(board)
+
+    def variant(self, step: Step) -> Hashable:
+        return step.rest.coded or step.slot == "rendered"
 
     def extrapolated(self, step: Step) -> None:
         if not step.rest.coded:  # what is exported asks the frame block

@@ -86,12 +86,12 @@ def test_arrays_are_copied_without_waiting(device, seen, monkeypatch):
 
 
 def test_a_frame_of_buffers_costs_the_host_little(device, seen, monkeypatch):
-    """Validation is entered once for each array, and for buffers never. Buffers that come in turns are arguments of
-    kernels already, whatever the order of others before; the bits are those of buffers that are new each time."""
+    """Validation is entered once for each array, and for buffers never. In whatever order buffers come again, the
+    bits are those of buffers that are new each time."""
     options = Options(shading_correction=False, cut_detection=False)
     again, anew, arrays = (Pipeline(device, *SIZE, options) for _ in range(3))
     sets = [on(device, seen[k]) for k in range(3)]
-    entered, set_again = [], []
+    entered = []
     for k, number in enumerate((0, 1, 2, 0, 1, 0, 1, 0, 1)):
         frame = replace(seen[number], time=k / FPS, reset=k in (0, 5))
         buffers = {name: getattr(sets[number], name) for name in ("color", "depth", "motion")}
@@ -108,11 +108,9 @@ def test_a_frame_of_buffers_costs_the_host_little(device, seen, monkeypatch):
             arrays.submit(frame)
             assert len(entered) == 3
             entered.clear()
-        set_again.append(again.board.shown)
         anew.submit(replace(frame, **{name: getattr(on(device, frame), name) for name in buffers}))
         made = [make(pipeline, frame).numpy("color") for pipeline in (again, anew)]
         np.testing.assert_array_equal(*made)
-    assert set_again[8] is set_again[6] and set_again[6] is not set_again[4]
 
 
 def test_commands_are_repeated_for_buffers_of_any_number(device, monkeypatch):

@@ -4,7 +4,6 @@ read on any thread."""
 import threading
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -34,11 +33,11 @@ def submitting(pipeline, frame):
     """Have another thread within `submit` of `frame` during the block."""
     inside, may_end = threading.Event(), threading.Event()
 
-    def before(*_, **__):
+    def watcher(*_):
         inside.set()
         assert may_end.wait(SECONDS)
 
-    pipeline.watcher = SimpleNamespace(before=before, submitted=lambda *_: None)
+    pipeline.watcher = watcher
     thread = threading.Thread(target=pipeline.submit, args=(frame,), daemon=True)
     thread.start()
     assert inside.wait(SECONDS)
@@ -95,13 +94,13 @@ def test_reading_waits_for_a_call_and_calls_for_reading(device, with_network, mo
         alone.submit(frame)
     expected = alone.extrapolate().numpy("color")
     made, correction = pipeline.extrapolate(), pipeline.stages["correction"]
-    assert correction.is_begun
+    assert not pipeline.correcting.done()
     with ThreadPoolExecutor(1) as pool:
         with submitting(pipeline, shown[3]):
             read = pool.submit(made.numpy, "color")
             with pytest.raises(TimeoutError):
                 read.result(0.2)
-        assert np.array_equal(read.result(SECONDS), expected) and not correction.is_begun
+        assert np.array_equal(read.result(SECONDS), expected) and pipeline.correcting.done()
 
         made, entered, may_end, finish = pipeline.extrapolate(), threading.Event(), threading.Event(), correction._close
         correction._close = lambda: (entered.set(), may_end.wait(SECONDS), finish())

@@ -11,7 +11,7 @@ def test_kernel_writes_the_block(case):
     """Every byte but padding, of the rendered frame and of the new one; members are where frame.h has them."""
     board = case.pipeline.board
     for slot, camera in (("rendered", None), ("new", case.to)):
-        step = Step(board.rendered, board.previous, [0.1, 0.06], camera, 0.12, 0.6)
+        step = Step(board.bindings.rendered, board.bindings.previous, [0.1, 0.06], camera, 0.12, 0.6)
         given = np.frombuffer(bytes(step.block(board)), FRAME)[0]
         written = np.zeros(1, FRAME)
         board.blocks.set(step)

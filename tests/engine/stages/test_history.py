@@ -32,11 +32,11 @@ def test_threshold_beside_quantization(device, lanes, lookups, sign):
         frame = world.frame(view, k / 30, width, height, past and (past.camera, past.time), reset=k == 0)
         mover = frame.depth < 10
         frame.motion = sum(sign * encoding.motion(sign * frame.motion / lookups) for _ in range(lookups))
-        before = board.rendered
+        before = board.bindings.rendered
         taken = DeviceFrame.allocate(device, (width, height), view, view, frame.time)
         copy_to(device, taken, host_arrays(frame).in_device_layout())
         stage.swap()
-        board.show(taken, before)
+        board.bindings.show(taken, before)
         stage.rendered(Step(taken, before, []))
         past = frame
     assert stage.read("static_threshold_squared") <= 0.25**2

@@ -32,8 +32,8 @@ def test_network_input_equals_its_twin(device, size, exposure):
         mask,
         exposure,
         seen.sizes.of("network"),
-        read_back(device, board.previous, *size),
-        reprojection(step.camera, board.previous.camera),
+        read_back(device, board.bindings.previous, *size),
+        reprojection(step.camera, board.bindings.previous.camera),
     )
     np.testing.assert_allclose(got[6], expected[6], rtol=1e-6)
     assert np.array_equal(got[[0, 1, 2, 7]], expected[[0, 1, 2, 7]])
