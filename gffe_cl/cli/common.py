@@ -337,7 +337,7 @@ def _parameters(option: Option) -> list[inspect.Parameter]:
                 bool,
                 False,
                 option.off_flag,
-                f"Switch off {option.off_label or option.label}: the same as {option.flag} {option.off}.",
+                f"Switch off {option.label}: the same as {option.flag} {option.off}.",
             )
         )
     return made

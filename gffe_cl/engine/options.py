@@ -40,7 +40,6 @@ class Option:
     choices : of a string, with a sentence each; empty if any will do
     automatic : the meaning of None ("auto": found out from the data), where None is allowed
     off : the value that switches a module off; False for a bool, None if it is no module
-    off_label, off_sentence : of the module, where switching it off is an option beside this one
     flag : of the command line; of a bool that is on by default, the flag that switches it off
     spelled : of a bool, whether its flag is followed by "on" or "off"
     off_flag : of the command line, short for the value `off`
@@ -60,8 +59,6 @@ class Option:
     choices: dict[str, str] = field(default_factory=dict)
     automatic: str | None = None
     off: Any = None
-    off_label: str = ""
-    off_sentence: str = ""
     flag: str | None = None
     spelled: bool = False
     off_flag: str | None = None
@@ -299,8 +296,6 @@ class Options:
         low=0,
         high=MAX_LEVELS,
         off=0,
-        off_label="background collection",
-        off_sentence="Background collection: static surfaces that are hidden now are remembered.",
         flag="--background-levels",
         off_flag="--no-background",
     )

@@ -89,7 +89,7 @@ def test_kept_settings_are_saved_and_found_again():
     settings, texts = KeptSettings(), "12ab"
     first = settings.keep(Setup(Options()), texts)
     second = settings.keep(Setup(Options(motion=False, levels=0), "off"), texts)
-    assert (first.name, second.name) == ("defaults", "no motion estimation, no background collection")
+    assert (first.name, second.name) == ("defaults", "no motion estimation, no background levels")
     assert settings.b == second and second.setup(3) == Setup(Options(motion=False, levels=0), "off", 3, texts)
     again = settings.keep(Setup(Options()), texts)
     assert [kept.name for kept in settings.all] == [again.name, second.name], "the same settings are kept once"

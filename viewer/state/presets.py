@@ -155,7 +155,7 @@ def _deviations(options: Options) -> list[str]:
             continue
         if option.automatic and option.kind is bool and (value or not Options().corrects_shading):
             continue  # as it would be by itself
-        label = option.off_label or option.label if value == option.off else option.label
+        label = option.label
         off = option.off is not None and value == option.off
         found.append(f"no {label}" if off else label if value is True else f"{label} {value}")
     return found

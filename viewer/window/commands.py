@@ -410,7 +410,7 @@ def _of_option(name: str, option: Option) -> list[Action]:
 
     made = []
     if option.is_module:
-        label, tooltip = option.off_label or option.label, option.off_sentence or option.sentence
+        label, tooltip = option.label, option.sentence
         switch = lambda app: app.model.parameters.switch(name, not is_on(app))  # noqa: E731
         made.append(Action(f"{name} switch", label, "Modules", "", switch, why_not, is_on, tooltip))
     for choice, text in option.choices.items():

@@ -53,7 +53,7 @@ def _width(listed: list[tuple[str, Option]]) -> float:
 
 
 def _label(option: Option) -> str:
-    return option.off_label or option.label
+    return option.label
 
 
 def _module(model: Model, name: str, option: Option) -> None:
@@ -61,7 +61,7 @@ def _module(model: Model, name: str, option: Option) -> None:
     reason = parameters.why_not(name)
     widgets.toggle(
         _label(option), parameters.is_on(name) and reason is None,
-        partial(parameters.switch, name), parameters.fault(name) or option.off_sentence or option.sentence, reason,
+        partial(parameters.switch, name), parameters.fault(name) or option.sentence, reason,
     )  # fmt: skip
 
 

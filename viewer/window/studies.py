@@ -133,7 +133,7 @@ def with_room(regions: list[str], most: int) -> list[str]:
 
 
 def _label(name: str) -> str:
-    return OPTIONS[name].off_label or OPTIONS[name].label
+    return OPTIONS[name].label
 
 
 def _gain(gain: float) -> str:

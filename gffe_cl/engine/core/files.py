@@ -161,15 +161,17 @@ def made_folder(path: Path) -> Iterator[None]:
     while not path.is_dir():
         missing.append(path)
         path = path.parent
-    try:
+    with ExitStack() as made:
         for folder in reversed(missing):
+            made.callback(_remove_if_empty, folder)
             folder.mkdir(exist_ok=True)
         yield
-    except BaseException:
-        for folder in missing:
-            with suppress(OSError):
-                folder.rmdir()
-        raise
+        made.pop_all()
+
+
+def _remove_if_empty(folder: Path) -> None:
+    with suppress(OSError):
+        folder.rmdir()
 
 
 @contextmanager

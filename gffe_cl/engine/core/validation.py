@@ -206,7 +206,7 @@ def _as_array(value: Any) -> tuple[np.ndarray | None, str]:
         return None, f" (tensors of a GPU need NumPy 2.1 or newer, this is {np.__version__})"
     try:
         return np.from_dlpack(value, device="cpu"), ""
-    except Exception as error:  # each library has its own for what it cannot hand over
+    except (AttributeError, BufferError, MemoryError, RuntimeError, TypeError, ValueError) as error:
         return None, f" ({type(error).__name__}: {error})"
 
 
@@ -245,10 +245,10 @@ def _shape_words(shape: tuple) -> str:
     words = []
     for want in shape:
         free = next(axes)
-        words.append(
-            "…" if want is ... else free if want is None else " or ".join(map(str, want)) if isinstance(want, tuple)
-            else str(want)
-        )  # fmt: skip
+        if isinstance(want, tuple):
+            words.append(" or ".join(map(str, want)))
+        else:
+            words.append("…" if want is ... else free if want is None else str(want))
     return f"({', '.join(words)})"
 
 

@@ -154,7 +154,7 @@ def _probe(info: DeviceInfo, device: cl.Device) -> None:
             info.lacks.append("correctly rounded division (done in software)")
         if not device.image_support:
             info.lacks.append("images (not needed)")
-    except Exception as error:  # whatever a driver throws
+    except (cl.Error, RuntimeError, ValueError, MemoryError) as error:
         info.problem = " ".join(build_log(error).split())[:200] or type(error).__name__
     print(json.dumps(asdict(info)), flush=True)
 

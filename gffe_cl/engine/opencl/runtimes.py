@@ -30,10 +30,8 @@ NO_CACHE: Any = False  # for pyopencl's `cache_dir`, whose stub only accepts fol
 _POCL_CACHE = "POCL_CACHE_DIR"  # PoCL's variable
 _DRIVER_CACHES = ("pocl", "pyopencl", "neo_compiler_cache", "mesa_shader_cache", "mesa_shader_cache_db")
 # Environment variables of drivers and their libraries begin with these.
-_DRIVERS_READ = (
-    "CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_", "OPENCL_",
-    "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH",
-)  # fmt: skip
+_DRIVERS_READ = ("CL_", "CUDA_", "GPU_", "HIP_", "HSA_", "MESA_", "NEO", "NVIDIA_", "OCL_", "OCLGRIND_", "ONEAPI_")
+_DRIVERS_READ += ("OPENCL_", "POCL_", "ROCR_", "RUSTICL_", "SYCL_", "ZE_", "LD_PRELOAD", "LD_LIBRARY_PATH")
 _SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
 _MOST_NAMED, _LONGEST_NAME = 3, 300  # drivers in a message, and characters of a library's name
 # Parameters of mallopt (malloc.h of glibc): memory freed at the end of the heap goes back to the system above so many

@@ -90,7 +90,7 @@ def digest(*arrays: np.ndarray) -> str:
 
 
 @dataclass
-class Difference:
+class BufferDifference:
     """Difference of a buffer from the reference: the `moments` at which it differs; where values are recorded also the
     largest difference in `ulp` (for integers: in steps), the number of `pixels` that differ, and some `examples`:
     [index, expected, found]."""
@@ -113,7 +113,7 @@ class BufferComparison:
 
     def __init__(self, reference: Reference, case: str):
         self._hashes, self._values = reference.hashes[case], reference.values[case]
-        self.different: dict[str, Difference] = {}
+        self.different: dict[str, BufferDifference] = {}
         self.compared: set[str] = set()
         self.moments = 0
 
@@ -124,13 +124,13 @@ class BufferComparison:
             self.compared.add(name)
             if name in expected and name in buffers and digest(buffers[name]) == expected[name]:
                 continue
-            found = self.different.setdefault(name, Difference())
+            found = self.different.setdefault(name, BufferDifference())
             found.moments.append(moment)
             if moment == KEPT_MOMENT and name in self._values and name in buffers:
                 _tell(found, self._values[name], buffers[name])
 
 
-def _tell(found: Difference, expected: np.ndarray, array: np.ndarray) -> None:
+def _tell(found: BufferDifference, expected: np.ndarray, array: np.ndarray) -> None:
     if array.shape != expected.shape or array.dtype != expected.dtype:
         return
     apart = ulps(expected, array)

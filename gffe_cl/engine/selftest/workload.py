@@ -38,7 +38,13 @@ CASES = {
     "other": Case(
         "other orders and levels, no hole filling, predicted cameras, antialiasing over time",
         Options(
-            history=3, order=2, levels=3, hole_filling="none", focus_mask=False, static_threshold=0.5, upscale=1,
+            history=3,
+            order=2,
+            levels=3,
+            hole_filling="none",
+            focus_mask=False,
+            static_threshold=0.5,
+            upscale=1,
         ),
         None,
         knows_cameras=False,
@@ -47,13 +53,19 @@ CASES = {
     "paper": Case(
         "as in the paper: single pixels, no hidden parts, hole filling from the downsampled image",
         Options(
-            acceleration=False, camera_order=1, crack_closing=False, hidden_parts=False, hole_filling="downsample",
-            soft_silhouettes=False, levels=4, resampling="linear",
+            acceleration=False,
+            camera_order=1,
+            crack_closing=False,
+            hidden_parts=False,
+            hole_filling="downsample",
+            soft_silhouettes=False,
+            levels=4,
+            resampling="linear",
         ),
         None,
     ),
     "performance": Case("the preset for performance", Options.preset("performance"), RENDER_SIZE),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

@@ -34,10 +34,8 @@ STANDARDS = ("CL1.2", "CL2.0", "CL3.0")
 # A device without double precision, images and the rest. clang 14 knows vload_half4 only with cl_khr_fp16, though it is
 # no part of that.
 EXTENSIONS = "-cl-ext=-all,+cl_khr_fp16,+cl_khr_int64_base_atomics,+cl_khr_int64_extended_atomics"
-WARNINGS = (
-    "-Wall", "-Wextra", "-Wno-unused-function", "-Wshadow", "-Wdouble-promotion", "-Wfloat-conversion", "-Wundef",
-    "-Wvla", "-Werror",
-)  # fmt: skip
+WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-Wshadow", "-Wvla", "-Wundef")
+WARNINGS += ("-Wdouble-promotion", "-Wfloat-conversion")
 MOST_LOCAL = 16 << 10  # bytes per work-group
 MOST_PRIVATE = {1: 64, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
 PRIVATE = {"scenes/scene.shade": 1 << 10}  # kernels that may have more: those of test scenes
@@ -113,9 +111,18 @@ def test_no_form_that_gives_other_bits_somewhere(name):
 
 @pytest.mark.parametrize(
     ("expression", "found"),
-    [("-s * (int2)(1, 0)", 1), ("d * s", 1), ("(int2)(s) * d", 1), ("(int2)(-s * d.x, -s * d.y)", 0), ("d * d.yx", 0),
-     ("(s * w).lo.lo", 0), ("(w * -s).lo.lo", 1), ("(int2)(any(s > 1), 0)", 1), ("(int2)(any(d > 1), all(w > 1))", 0)],
-)  # fmt: skip
+    [
+        ("-s * (int2)(1, 0)", 1),
+        ("d * s", 1),
+        ("(int2)(s) * d", 1),
+        ("(int2)(-s * d.x, -s * d.y)", 0),
+        ("d * d.yx", 0),
+        ("(s * w).lo.lo", 0),
+        ("(w * -s).lo.lo", 1),
+        ("(int2)(any(s > 1), 0)", 1),
+        ("(int2)(any(d > 1), all(w > 1))", 0),
+    ],
+)
 def test_these_forms_are_found(expression, found):
     source = f"int2 f(const int s, const int2 d, const int8 w) {{ return {expression}; }}"
     assert len(list(forms_to_avoid(source, 8))) == found
@@ -141,8 +148,10 @@ def memory_of_kernels(name, *options):
     inlined and optimized, registers apart."""
     code = clang(expand(f"{name}.cl"), "CL1.2", "-O2", "-S", "-emit-llvm", *options).decode()
     structs = dict(re.findall(r"^(%\S+) = type (\{.*\})$", code, re.M))
-    local = [(owner, nbytes(kind, structs)) for owner, kind in
-             re.findall(r"^@(\w+)\.\S+ = .*addrspace\(3\) global (.*?) undef", code, re.M)]  # fmt: skip
+    local = [
+        (owner, nbytes(kind, structs))
+        for owner, kind in re.findall(r"^@(\w+)\.\S+ = .*addrspace\(3\) global (.*?) undef", code, re.M)
+    ]
     found = {}
     for head, kernel, body in re.findall(r"^define ([^\n]*?)@(\w+)\([^\n]*\{\n(.*?)^\}", code, re.M | re.S):
         # Texels in i64, whose address vload_half4 takes, are in registers once that is inlined: the vendors' compilers
@@ -336,7 +345,7 @@ EXCESSES = {
     ("scenes/scene.shade", "dg2-g10", "memory"): (_SCENES, ""),
     ("scenes/scene.shade", "dg2-g10", "SIMD8"): (_SCENES, ""),
     ("scenes/scene.surfaces", "dg2-g10", "SIMD8"): (_SCENES, "libigc2"),
-}  # fmt: skip
+}
 
 
 def exceeded(gpu, cost):

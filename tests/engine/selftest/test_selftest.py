@@ -18,7 +18,7 @@ from gffe_cl.engine.selftest import report
 from gffe_cl.engine.selftest.reference import (
     KEPT_MOMENT,
     BufferComparison,
-    Difference,
+    BufferDifference,
     Reference,
     compare_network,
     digest,
@@ -116,7 +116,7 @@ def test_differences_are_told_in_ulp_and_pixels():
     assert name == "x.color" and not others and found.moments == ["frame 0 + 1/3", KEPT_MOMENT]
     assert (found.ulp, found.pixels, found.share) == (1, 2, 0.1) and str(found) == "1 ulp, 2 px (10%)"
     assert found.examples[0] == [[1, 2, 0], "1.0", "1.001"]
-    assert str(Difference(["frame 0 + 1/3"])) == "differs at 1 moments"
+    assert str(BufferDifference(["frame 0 + 1/3"])) == "differs at 1 moments"
     comparison.add(KEPT_MOMENT, {"x.color": values})  # a buffer that is not made
     assert "x.mask" in comparison.different
 
