@@ -78,7 +78,13 @@ class OwnPixels:
         return stack_color(channels), depth, motion, Overlays(**layers) if layers else None
 
     def color(self, entry, size):
-        return stack_color(self.channels(entry, COLOR, size))
+        channels = self.channels(entry, COLOR, size)
+        if entry.kind != "rendered":  # the camera of a rendered frame says where its data window is
+            header = read_header(self._folder / entry.place, entry.file)
+            part = header.parts[exr.require_channels(header, COLOR, entry.file)[0][0]]
+            if part.shown_size == tuple(size):
+                channels = {name: exr.placed(channel, part, 0.0) for name, channel in channels.items()}
+        return stack_color(channels)
 
     def channels(self, entry, names, size):
         return exr.read_channels(self._folder / entry.place, tuple(names), entry.file, size)

@@ -311,3 +311,17 @@ def test_reading_ahead_starts_at_once():
     ahead = read_ahead([1, 2, 3], lambda item: started.set() or 10 * item)
     assert started.wait(5)
     assert list(ahead) == [(1, 10), (2, 20), (3, 30)]
+
+
+def test_truth_lies_where_its_data_window_says(tmp_path):
+    """Black outside; a rendered frame is the data window, and its camera says where that is."""
+    write(tmp_path)
+    shown = np.random.default_rng(1).random((H, W)).astype(np.float32)
+    windows = {"dataWindow": (np.array([3, -2], np.int32), np.array([W + 2, H - 3], np.int32))}
+    windows["displayWindow"] = (np.zeros(2, np.int32), np.array([W - 1, H - 1], np.int32))
+    header = {"type": OpenEXR.scanlineimage, "compression": OpenEXR.ZIP_COMPRESSION} | windows
+    OpenEXR.File(header, dict.fromkeys("RGB", shown)).write(str(tmp_path / "truth_0.exr"))
+    sequence = open_sequence(tmp_path)
+    expected = np.zeros((H, W), np.float32)
+    expected[: H - 2, 3:] = shown[2:, : W - 3]
+    np.testing.assert_array_equal(sequence.read_color(sequence.ground_truth[0])[..., 1], expected)
