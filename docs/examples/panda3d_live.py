@@ -2,7 +2,7 @@
 
     python docs/examples/panda3d_live.py                          a window; --rate 30 --shown 60
     python docs/examples/panda3d_live.py --game                   frames as games have them, see `Game`
-    python docs/examples/panda3d_live.py --offscreen --measure --frames 12 --json figures.json
+    python docs/examples/panda3d_live.py --offscreen --measure --frames 12
 
 The mouse moves the camera. Keys: G generation, N network, V adaptive window on and off; L next layer; C cut;
 X lose the next rendered frame. docs/tutorial_live.md explains each part, docs/threads.md why there is one thread.
@@ -164,18 +164,8 @@ class Game:
         color, depth, motion = self.draw(now, rendered, jittered)
         color = self.antialiased(color, motion) if self.game and not self.cut else color
         shift = np.subtract((jittered.cx, jittered.cy), (rendered.cx, rendered.cy)) * self.geometry_size / self.size
-        frame = gffe.RenderedFrame(
-            color,
-            depth,
-            motion,
-            rendered,
-            now,
-            display_camera=camera,
-            reset=self.cut,
-            overlays=gffe.Overlays(ui=self.hud),
-            geometry_jitter=tuple(shift),
-            geometry_size=self.geometry_size,
-        )
+        given = {"overlays": gffe.Overlays(ui=self.hud), "geometry_jitter": shift, "geometry_size": self.geometry_size}
+        frame = gffe.RenderedFrame(color, depth, motion, rendered, now, display_camera=camera, reset=self.cut, **given)
         if self.lose and not self.cut:
             self.lose = False
             return None  # what was kept stays: motion of the next frame leads to the last one that arrived
@@ -248,15 +238,12 @@ def main(
     frames: int = 0,
     offscreen: bool = False,
     measure: bool = False,
-    json: str = "",
     game: bool = False,
 ):
     made = Game((480, 270), offscreen, game)
     if not measure:
         return play(made, rate, shown, frames or 10**9)
-    print(text := dumps(figures(made, rate, shown, frames or 30)))
-    if json:
-        Path(json).write_text(text)
+    print(dumps(figures(made, rate, shown, frames or 30)))
 
 
 if __name__ == "__main__":
