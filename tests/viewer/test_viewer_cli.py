@@ -137,7 +137,7 @@ def test_wayland_without_x11_is_named(monkeypatch):
     [
         (["broken"], "not valid JSON"),
         (["in", "--layer", "nonsense"], "no layer is called 'nonsense'"),
-        (["in", "--screenshot", "a.jpg"], "a.jpg: a screenshot's name must end in .png"),
+        (["in", "--screenshot", "a.jpg"], "a.jpg: a picture's name must end in .png"),
     ],
 )
 def test_refused_screenshots(gffe, screen, tmp_path, arguments, told):

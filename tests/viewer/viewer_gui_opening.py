@@ -110,7 +110,7 @@ def palette_and_help(gui: Gui):
     values["help"] = gui.exists("//###help")
     gui.shot("help")
     gui.key(KEY.o)
-    values["covered"] = not model.overview
+    values["covered"] = not model.choices.overview
     gui.key(KEY.escape)
     gui.frames(2)
     values["help closed"] = not app.help.is_open

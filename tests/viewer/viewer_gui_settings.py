@@ -122,5 +122,5 @@ def walking_along_a_story(gui: Gui):
         gui.key(KEY.backspace)
         gui.settle()
     values["back"] = (model.view.a, model.slot, model.pointing.picked) == before
-    values["back is disabled"] = gui.app.actions["back"].enabled()
+    values["back is disabled"] = gui.app.actions.why_not("back")
     model.pointing.pick(None)
