@@ -38,7 +38,7 @@ class Doctor:
 
     def _run(self, sequence: Sequence) -> None:
         from gffe_cl.captures.doctor import examine
-        from gffe_cl.captures.doctor.findings import Cut, Gap, OffInOneFrame
+        from gffe_cl.captures.doctor.findings import UNKNOWN, AtFrame
 
         try:
             found = examine(sequence, sequence.exposure, sequence.format)
@@ -48,6 +48,6 @@ class Doctor:
             self.problem = f"{type(error).__name__}: {error}"
         else:
             self.findings, self.converts = found.findings, found.found is not None
-            alone = [one.frame for one in self.findings if isinstance(one, Cut | Gap | OffInOneFrame)]
+            alone = [one.frame for one in self.findings if isinstance(one, AtFrame) and one.kind != UNKNOWN]
             self.marks = dict.fromkeys(alone, _WRONG_PLACE)
         self.done = True

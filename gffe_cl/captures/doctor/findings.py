@@ -89,21 +89,35 @@ def frames_in_words(numbers: tuple[int, ...], one: str, many: str) -> str:
     return f"frames {named} {many}" if len(numbers) > 1 else f"frame {named} {one}"
 
 
-# ---- facts of one frame --------------------------------------------------------------------------------
-
-
 @dataclass(frozen=True)
-class NothingUsable(Finding):
-    """Too few values of a buffer can be compared: `share` of the pixels, because `why`."""
+class OfBuffer(Finding):
+    """Finding about one `buffer`."""
 
-    name = "nothing-usable"
     buffer: str
-    share: float
-    why: str
 
     @property
     def about(self) -> str:
         return self.buffer
+
+
+@dataclass(frozen=True)
+class AtFrame(Finding):
+    """Finding about the rendered frame number `frame`, in `file`."""
+
+    frame: int
+    file: str
+
+
+# ---- facts of one frame --------------------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class NothingUsable(OfBuffer):
+    """Too few values of a buffer can be compared: `share` of the pixels, because `why`."""
+
+    name = "nothing-usable"
+    share: float
+    why: str
 
     def words(self) -> str:
         return f"{self.share:.1%} of the pixels have a usable value ({self.why}): nothing can be compared"
@@ -185,15 +199,10 @@ class Quantized(Finding):
 
 
 @dataclass(frozen=True)
-class FewBits(Finding):
+class FewBits(OfBuffer):
     """Depth or color of few bits."""
 
     name, kind = "few-bits", NOTE
-    buffer: str
-
-    @property
-    def about(self) -> str:
-        return self.buffer
 
     def words(self) -> str:
         half = "half floats, off by up to 1/2048 of itself"
@@ -201,17 +210,12 @@ class FewBits(Finding):
 
 
 @dataclass(frozen=True)
-class RepeatedPixels(Finding):
+class RepeatedPixels(OfBuffer):
     """A buffer was rendered in the size `width`, `height`, and its pixels repeated."""
 
     name, kind = "repeated-pixels", NOTE
-    buffer: str
     width: int
     height: int
-
-    @property
-    def about(self) -> str:
-        return self.buffer
 
     def words(self) -> str:
         return (
@@ -301,8 +305,8 @@ class MotionToNext(Finding):
 
     def words(self) -> str:
         return (
-            "vectors lead to the next frame (expected those to the previous one: no format converts them, as"
-            " each belongs to another pixel)"
+            'vectors lead to the next frame (expected those to the previous one; "to_next": true of a folder of images'
+            " converts them roughly)"
         )
 
 
@@ -336,16 +340,11 @@ def _long(factor: float) -> str:
 
 
 @dataclass(frozen=True)
-class OtherFrame(Finding):
+class OtherFrame(OfBuffer):
     """A buffer of each frame is in the file of the frame `by` frames after it."""
 
     name = "other-frame"
-    buffer: str
     by: int
-
-    @property
-    def about(self) -> str:
-        return self.buffer
 
     @property
     def offsets(self) -> dict[str, int]:
@@ -407,24 +406,20 @@ class Ambiguous(Finding):
 
 
 @dataclass(frozen=True)
-class Cut(Finding):
+class Cut(AtFrame):
     """Frame `frame` does not follow the one before."""
 
     name = "cut"
-    frame: int
-    file: str
 
     def words(self) -> str:
         return f"cut at frame {self.frame} ({self.file}): it does not follow the frame before (expected reset)"
 
 
 @dataclass(frozen=True)
-class Gap(Finding):
+class Gap(AtFrame):
     """Frame `frame` shows what the one before shows, but its vectors lead elsewhere."""
 
     name = "gap"
-    frame: int
-    file: str
 
     def words(self) -> str:
         return (
@@ -434,12 +429,10 @@ class Gap(Finding):
 
 
 @dataclass(frozen=True)
-class OffInOneFrame(Finding):
+class OffInOneFrame(AtFrame):
     """Depth and cameras of frame `frame` do not fit, while colors follow its vectors."""
 
     name, about = "unexplained-frame", "camera"
-    frame: int
-    file: str
 
     def words(self) -> str:
         return (
@@ -498,12 +491,10 @@ class StillCamera(Finding):
 
 
 @dataclass(frozen=True)
-class MisfitAtEnd(Finding):
+class MisfitAtEnd(AtFrame):
     """The first or last pair of frames does not fit: a gap, or buffers of another frame in a steady movement."""
 
     name, kind = "misfit-at-end", UNKNOWN
-    frame: int
-    file: str
 
     def words(self) -> str:
         return (

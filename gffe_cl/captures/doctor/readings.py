@@ -21,6 +21,7 @@ VIEW_AXES = {"gffe": (1, 1, 1), "opengl": (1, -1, -1), "direct3d": (1, -1, 1)}  
 _INFINITE = 5e-4  # near / far: below that far is indistinguishable from infinity
 _SIGNED = 0.01  # device depths below minus this reach from −1 to 1
 _MOST_POWER = 60.0  # of e
+_LITTLE_MORE = 1.5
 _DRAWS = 48  # lines through two samples, of which the best one is kept
 
 
@@ -242,12 +243,13 @@ class Reading:
         return made + self.motion.findings() + self.cameras.findings() + self.depth.findings(stored)
 
     @property
-    def changes(self) -> int:
-        """Number of differences from the frames as given; vectors from the previous frame with y up, as engines write
-        them, count as one."""
+    def changes(self) -> float:
+        """Number of differences from the frames as given. Vectors from the previous frame with y up, as engines write
+        them, count little more than one, and so do vectors to the next frame."""
         m, given = self.motion, GIVEN.motion
-        parts = [m.unit != "pixels", m.scale != 1, m.camera != "included", m.to_next]
-        parts += [m.direction != given.direction or m.y != given.y, self.rows != "down", self.offset[1] != 0]
+        turns = [0, 1, _LITTLE_MORE][(m.direction != given.direction) + (m.y != given.y)]
+        parts = [turns, m.unit != "pixels", m.scale != 1, m.camera != "included", _LITTLE_MORE * m.to_next]
+        parts += [self.rows != "down", self.offset[1] != 0]
         depth = 0 if self.depth == GIVEN.depth else 2 if self.depth.law.added is not None else 1
         return sum(parts) + len(self.cameras.keys()) + depth
 

@@ -10,8 +10,10 @@ from fault_injection import Kept
 from mistakes import MISTAKES, UNEXPLAINED
 from parameters import few
 
+import gffe_cl
 from gffe_cl.captures.doctor import FoundFormat, examine, with_format
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.scenes.sequences import EncodedFrames
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.opencl.device import open_device
@@ -73,19 +75,20 @@ def test_a_mistake_has_its_name_and_a_format_that_undoes_it(scene, name, tmp_pat
         same(frame.camera.world_to_view, true.camera.world_to_view, 1e-5)
         same(frame.camera.fx, true.camera.fx, mistake.off * true.camera.fx)
         if not entry.reset and not (mistake.off and np.isinf(true.depth).any()):
-            same(frame.motion, true.motion, 20 * mistake.off)
+            same(frame.motion, true.motion, 20 * mistake.off, 0.9 if name == "zero" else 0.98)  # movers are lost
 
 
-def same(made, true, off):
+def same(made, true, off, least=0.98):
     made, true = np.asarray(made), np.asarray(true)
     with np.errstate(invalid="ignore"):
-        assert ((made == true) | (np.abs(made - true) <= off)).mean() > (0.98 if np.any(off) else 1 - 1e-9)
+        assert ((made == true) | (np.abs(made - true) <= off)).mean() > (least if np.any(off) else 1 - 1e-9)
 
 
 def test_the_table_has_every_kind_of_finding():
     from gffe_cl.captures.doctor import findings
 
-    kinds = {one.name for one in vars(findings).values() if isinstance(one, type) and isinstance(one.name, str)}
+    classes = [one for one in vars(findings).values() if isinstance(one, type) and issubclass(one, findings.Finding)]
+    kinds = {one.name for one in classes if isinstance(getattr(one, "name", None), str)}
     tested = {name for mistake in MISTAKES.values() for name in mistake.names}
     tested |= {"unexplained", "unexplained-frame", "ambiguous", "misfit-at-end"}  # below
     assert kinds - tested == {"nothing-usable", "single-frames", "still-camera"}  # of test_doctor.py
@@ -105,13 +108,11 @@ SOUND = [(scene, code) for scene in SCENES for code in CODES]
 
 @pytest.mark.parametrize(("scene", "code"), few(SOUND, ("plaza", "exact"), ("corridor", "engine"), ("forest", "taa")))
 def test_sound_sequences_have_no_fault(scene, code):
-    frames, exposure = good(scene)
-    if code == "taa":
-        source = SceneFrames(SceneRenderer(open_device(), load_scene(scene, 5), *SIZE), encoding=Encoding.parse("taa"))
-        made = list(source.sequence(COUNT, FPS))
-    else:
-        made = [Encoding.parse(code).frame(frame, exposure) for frame in frames]
-    found = examine(Kept(made, exposure), exposure)
-    assert not found.faults and found.given.fits
-    notes = {"exact": set(), "half": set(), "taa": set(), "engine": {"motion-quantized", "few-bits"}}
-    assert {one.name for one in found.findings} <= notes.get(code, {"few-bits", "motion-dilated"})
+    """As engines store them, too: vectors of games are dilated, which is named, and nothing else."""
+    loaded, encoding = load_scene(scene, 5), Encoding.parse(code)
+    source = SceneFrames(SceneRenderer(open_device(), loaded, *SIZE))
+    frames = list(EncodedFrames(source, encoding).sequence(COUNT, FPS))
+    said = gffe_cl.check(frames, loaded.exposure, encoding.format)
+    assert said is None or ("motion: motion_dilated=True" in said and code == "game")
+    if code == "exact":
+        assert examine(Kept(frames, loaded.exposure), loaded.exposure).findings == []
