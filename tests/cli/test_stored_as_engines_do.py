@@ -133,7 +133,7 @@ class Made:
             return folder
         if given.encoding:
             size = ("--size", f"{W}x{H}", "--frames", FRAMES)
-            assert call("render", "bars", folder, *size, "--ground-truth", "--encode", given.encoding) == 0
+            assert call("render", "railings", folder, *size, "--ground-truth", "--encode", given.encoding) == 0
         else:
             write_described(folder, given, open_sequence(self.sequence("exact")))
         return folder

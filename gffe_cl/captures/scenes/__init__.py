@@ -38,6 +38,7 @@ SCENES = {
 # Each holds one thing that is hard, and little else; beside the eight above, which tables and studies are made of.
 SITUATIONS = {
     "bars": "Movers behind bars: three people and an animal pass behind a fence",
+    "railings": "People behind a fence and before it, and moving shadows that cross them; the camera strafes",
     "balls": "Balls that fly on parabolas, bounce and roll",
     "rotors": "Arcs: a pinwheel, a wheel with spokes, a rotor, a cart on wheels",
     "handheld": "A camera that speeds up, turns and stops, in a still room",

@@ -162,6 +162,28 @@ def bars(seed: int, rng: np.random.Generator) -> Scene:
     return scene("bars", "Movers behind bars", seed, groups, *sunlight(rng), still_camera(rng))
 
 
+def railings(seed: int, rng: np.random.Generator) -> Scene:
+    """Return people who pass each other behind a fence and before it, and shadows of things out of view that cross
+    them; the camera strafes."""
+    groups = yard(rng, seed)
+    groups += railing((-4.2, 0.3), (4.2, 0.3), 1.5, rng.uniform(0.14, 0.18), pick(rng, IRON, STEEL), radius=0.014)
+    for k in range(5):
+        z = (1.1, -0.5, -1.2, -2.1, -3.0)[k]
+        loop = [(-2.6, z), (0, z - 0.1), (2.6, z), (2.9, z - 0.3), (0, z - 0.35), (-2.9, z - 0.3)]
+        path = Path(loop[:: pick(rng, -1, 1)], rng.uniform(1.0, 1.8), rng.random())
+        groups += animal(path, rng, 0.7) if k == 3 else walker(path, rng)
+    lights, air = sunlight(rng, 2.0)
+    dark = Material((0.1, 0.1, 0.1))
+    for k in range(4):
+        at = np.array((1.8 * k - 2.7, 0.0, -1.2 - 0.6 * k)) + 5.5 * np.array((-0.55, 0.9, 0.75))
+        slide = Slide((rng.uniform(1.0, 1.8), 0, 0), rng.uniform(1.4, 2.4), rng.random())
+        leaves = [Box((0.5 * j, 0, 0.2 * j), (0.24, 0.04, 1.2), dark) for j in (-1, 0, 1)]
+        groups.append(Group(leaves, Place(*at) @ slide @ Place(yaw=rng.uniform(-40, 40)), name="caster"))
+    eye = wave((0, 1.6, 5.2), (0.9, 0.03, 0.1), (rng.uniform(2.2, 3.0), 0.9, 2.0), rng.random(3))
+    target = still_camera(rng)[1]
+    return scene("railings", "Walkers and shadows behind a fence", seed, groups, lights, air, (eye, target))
+
+
 def balls(seed: int, rng: np.random.Generator) -> Scene:
     """Return balls that fly, bounce and roll."""
     groups = hall(rng, seed)
@@ -354,6 +376,7 @@ def _fan(at: Motion, rate: float) -> list[Group]:
 
 BUILDERS = {
     "bars": bars,
+    "railings": railings,
     "balls": balls,
     "rotors": rotors,
     "handheld": handheld,

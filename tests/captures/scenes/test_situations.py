@@ -13,7 +13,7 @@ from gffe_cl.lab.table.footage import parse_subject
 
 W, H = 64, 36
 TIME, STEP = 0.7, 1 / 30
-MOVING = ("handheld", "cab", "wipers")  # cameras
+MOVING = ("handheld", "cab", "wipers", "railings")  # cameras
 MOVERS, SHADING = ("bars", "balls", "rotors"), ("shadows", "fan")
 
 
@@ -33,7 +33,7 @@ def moving(scene):
 def test_catalogue():
     assert list(BUILDERS) == list(SITUATIONS) and not set(SITUATIONS) & set(SCENES)
     assert is_scene("bars") and parse_subject("bars:2", (8, 8), 4, 30, (0.5,)).name == "bars:2"
-    with pytest.raises(GffeError, match=r"corridor, .*; bars, balls, rotors"):
+    with pytest.raises(GffeError, match=r"corridor, .*; bars, railings, balls, rotors"):
         load_scene("fence")
 
 
