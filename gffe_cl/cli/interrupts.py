@@ -71,7 +71,8 @@ class Interrupts:
                 break
             arrived = os.read(pipe, 1)
             if not arrived:
-                return os.close(pipe)
+                os.close(pipe)
+                return
             kinds += arrived if arrived[0] in self._before else b""
         self._end()
 

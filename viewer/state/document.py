@@ -17,7 +17,7 @@ from .playback import Playback
 
 
 class Document:
-    """What is open, one at a time.
+    """The open sequence or scene, one at a time.
 
     Attributes
     ----------

@@ -58,8 +58,8 @@ def _invalid(looks: list[Look]) -> list[Finding]:
 
 
 def _set_aside_unwritten(looks: list[Look]) -> list[Finding]:
-    """Vectors were never written where they are as long as the diagonal of the image, and where many samples share one
-    that leads out of it. Vectors of resets lead nowhere and are left alone."""
+    """Set vectors aside that were never written, and return findings of them: as long as the diagonal of the image, or
+    shared by many samples and leading out of it. Vectors of resets lead nowhere and are left alone."""
     looks = [look for look in looks if look.motion is not None and not look.reset]
     if not looks:
         return []

@@ -128,7 +128,7 @@ class RenderedFrame:
 
     @property
     def bad(self) -> BadPixels:
-        """The count of bad pixels of its NumPy arrays. The host counts unless they are known: a pipeline is faster."""
+        """The count of bad pixels of its NumPy arrays. The host counts them unless a pipeline has."""
         if self._known_bad is not None:
             return self._known_bad
         return BadPixels(**{kind: int(np.count_nonzero(pixels)) for kind, pixels in self.wrong.items()})

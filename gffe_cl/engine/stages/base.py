@@ -58,7 +58,7 @@ class Kernel:
 
 
 class Rest(NamedTuple):
-    """What is known of the camera at rest, members of the frame block: the rendered frame's number, for how many
+    """Knowledge of the camera at rest, members of the frame block: the rendered frame's number, for how many
     intervals its camera has been the same, whether points at rest stay where they are in the new frame, and whether all
     of the rendered frame's colors are encoded."""
 

@@ -52,7 +52,7 @@ def described_specs(format: FrameFormat) -> tuple[BufferSpec, ...]:
 
 
 class About(NamedTuple):
-    """What a frame has beside its buffers, by the fields of `DeviceFrame`."""
+    """Properties of a frame beside its buffers, by the fields of `DeviceFrame`."""
 
     camera: Camera
     display_camera: Camera
