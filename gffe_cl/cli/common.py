@@ -1,4 +1,4 @@
-"""Shared parts of commands: the application with its consoles, parameters and options, progress, and errors in one line."""
+"""Shared parts of commands: the application and its consoles, parameters and options, progress, errors in one line."""
 
 from __future__ import annotations
 
