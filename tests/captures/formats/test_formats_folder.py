@@ -375,9 +375,10 @@ def test_captures_without_cameras(tmp_path):
     with pytest.raises(GffeError, match="camera is missing"):
         open_capture(tmp_path)
     sequence = open_capture(tmp_path, cameras="optional")
-    frame = sequence.read(sequence.rendered[1])
+    found = sequence.read_channels(sequence.rendered[1], ("motion.x", "Z"))
     assert sequence.rendered[1].render_camera is None and sequence.warnings() == []
-    np.testing.assert_array_equal(frame.motion, rendered()[1].motion)
+    np.testing.assert_array_equal(found["motion.x"], rendered()[1].motion[..., 0])
+    np.testing.assert_array_equal(found["Z"], rendered()[1].depth)
     edit_json(tmp_path / "sequence.json", lambda d: d.update(frame_format={"depth": "distance"}))
     with pytest.raises(GffeError, match="distances along the rays cannot be converted without a camera"):
         open_capture(tmp_path, cameras="optional")
