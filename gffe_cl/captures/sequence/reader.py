@@ -268,7 +268,7 @@ def open_sequence(
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing channel or file,
     a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack a camera (then it is None);
-    then `read_channels` gives their arrays. `mend` converts the JSON text before it is used. With `follow_links` the JSON
+    `read_channels` gives their arrays. `mend` converts the JSON text before it is used. With `follow_links` the JSON
     may name files outside the folder; by default it may not. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")
