@@ -227,7 +227,7 @@ class _Rehearsal:
         named |= {f"engine.{name}": buffer for name, buffer in self._engine.items()}
         for frame in ("previous", "rendered"):
             for name in ("color", "depth", "motion"):
-                named[f"{frame}.{name}"] = getattr(getattr(self.board, frame), name)
+                named[f"{frame}.{name}"] = getattr(getattr(self.board.bindings, frame), name)
         self.tape.names = {id(buffer): name for name, buffer in named.items()}
 
 
