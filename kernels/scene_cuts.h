@@ -2,7 +2,7 @@
    lattice of samples follows its motion vectors. Light may change as it likes: depth is compared, and of color only
    the contrast between neighbors. History tracking counts the samples, beside those of its threshold (history.cl). */
 
-/* What set the thresholds: docs/cuts.md, "Measured". */
+/* What set the thresholds: docs/deviations.md, "Cuts and teleports are detected". */
 #define SAMPLES_X 64             /* the lattice, over an image of any size; a row of it is a work-group */
 #define SAMPLES_Y 36
 #define DEPTH_AGREES 0.02f       /* relative difference of depths of one surface */

@@ -116,7 +116,7 @@ class Step:
 
 
 class Bindings:
-    """Which buffers are bound, and what may be replayed.
+    """The buffers that are bound, and what may be replayed.
 
     Bound are those of the rendered frame and of the one `previous` to it, which is the frame itself after a reset; and
     the results of each stage, which swap with those of the frame before. What is enqueued may be replayed while stages

@@ -193,8 +193,9 @@ class ShadingCorrection(Stage):
             self._correct(step)
 
     def begin(self, step: Step) -> Correcting:
-        """Begin the work of `INPUTS` and `extrapolated` in a thread of its own. Until it has enqueued its kernels, only
-        that thread may launch kernels of these stages, and the rendered frame must stay the same."""
+        """Begin the work of `INPUTS` and `extrapolated` in a thread of its own, and return that work. Until it has
+        enqueued its kernels, only that thread may launch kernels of these stages, and the rendered frame must stay the
+        same."""
         self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
         return Correcting(self, step, self._worker)
 

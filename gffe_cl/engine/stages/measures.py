@@ -78,7 +78,7 @@ class UserInterface(Stage):
 
 COUNTED = ("valid", "inside", "compared", "depth_right", "with_contrast", "contrast_right", "passed")
 
-# Thresholds of a cut; docs/cuts.md has the margins of frames and cuts.
+# Thresholds of a cut; docs/deviations.md has the margins of frames and cuts.
 LEAST_SAMPLES = 64  # to say anything
 LEAST_OVERLAP = 0.05  # of the samples whose motion must stay in the image: a whip pan leaves more, a cut may not
 DEPTH_SURE = 0.4  # share of right depths below which it is a cut, whatever the colors
