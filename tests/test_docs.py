@@ -19,7 +19,7 @@ import gffe_cl
 from gffe_cl import cli
 from gffe_cl.captures.sequence.description import Description, FrameEntry, describe
 from gffe_cl.cli.commands import app
-from gffe_cl.gone import GONE, removal
+from gffe_cl.engine.core.public_names import GONE, removal
 
 ROOT = Path(__file__).parent.parent
 PAGES = [ROOT / name for name in ("README.md", "CONTRIBUTING.md", "CHANGELOG.md")] + sorted(

@@ -9,7 +9,7 @@ from typer.main import get_command
 import gffe_cl
 from gffe_cl.cli.commands import app, invoke
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.gone import GONE
+from gffe_cl.engine.core.public_names import GONE
 
 
 @pytest.mark.parametrize("name", GONE)
@@ -34,7 +34,7 @@ def test_no_public_name_is_lost_without_a_word():
     known, public = json.loads(Path(__file__).with_name("public_names.json").read_text()), public_names()
     assert public <= set(known), "add the new names to tests/public_names.json"
     lost = [name for name in known if name not in public and not {name, " ".join(name.split()[:2])} & set(GONE)]
-    assert lost == [], "removed names need a row in gffe_cl/gone.py"
+    assert lost == [], "removed names need a row in gffe_cl/engine/core/public_names.py"
 
 
 def test_a_removed_name_is_gone():

@@ -5,6 +5,7 @@ import re
 from pathlib import Path
 
 import gffe_cl
+from gffe_cl.engine.core.public_names import HOME
 
 PACKAGE = Path(gffe_cl.__file__).parent
 
@@ -13,7 +14,7 @@ def test_the_stub_has_all_names_and_their_modules():
     """Type checkers read it in place of the module, which loads names on first use."""
     stub = (PACKAGE / "__init__.pyi").read_text()
     names = re.findall(r"^from gffe_cl\.([\w.]+) import (\w+) as \2$", stub, re.M)
-    assert {name: module for module, name in names} == gffe_cl._HOME
+    assert {name: module for module, name in names} == HOME
     assert set(re.findall(r"^(\w+):", stub, re.M)) == {"__version__", "__all__"}
     assert (PACKAGE / "py.typed").exists()
 

@@ -8,7 +8,6 @@ from typing import Annotated, Any
 
 import typer
 
-from gffe_cl import __version__
 from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order of `gffe --help`
     bench,
     check,
@@ -26,8 +25,8 @@ from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order o
 )
 from gffe_cl.cli.common import app, out, warn_of_networks
 from gffe_cl.engine.core.errors import REPOSITORY, GffeError
+from gffe_cl.engine.core.public_names import __version__, removal
 from gffe_cl.engine.core.validation import MOST_SEED, shown
-from gffe_cl.gone import removal
 
 __all__ = ["app", "invoke"]
 
