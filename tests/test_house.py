@@ -362,9 +362,16 @@ def several_values(files):
 
 # Files whose fractions are no thresholds: limits of formats, errors of rounding, geometry, the paper's own numbers.
 WITHOUT_THRESHOLDS = {
-    "blocks.h", "candidates.h", "common.h", "cubic.h", "directional_search.h", "network_input.cl", "rgb9e5.h",
-    "shading.cl", "simd.h",
-}  # fmt: skip
+    "blocks.h",
+    "candidates.h",
+    "common.h",
+    "cubic.h",
+    "directional_search.h",
+    "network_input.cl",
+    "rgb9e5.h",
+    "shading.cl",
+    "simd.h",
+}
 
 
 def test_thresholds_name_what_set_them():

@@ -432,8 +432,10 @@ def test_interrupt_keeps_what_is_finished(tmp_path):
     out = tmp_path / "out"
     child = subprocess.Popen(
         [sys.executable, "-m", "gffe_cl", "run", str(source), str(out), "-n", "7"],
-        stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True,
-    )  # fmt: skip
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
     deadline = time.monotonic() + 60
     part = tmp_path / "out.part"
     while len(list(part.rglob("extrapolated_*.exr"))) < 10 and time.monotonic() < deadline:

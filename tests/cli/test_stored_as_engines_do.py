@@ -50,14 +50,20 @@ SDKS = {
         renderSize=HALF, displaySize=(W, H), motionVectorScale=HALF, cameraNear=0.1, flags=0b11100
     ),
     "streamline": FrameFormat.streamline(
-        mvecScale=(1 / W, 1 / H), cameraNear=0.1, cameraFar=100.0, depthInverted=True, cameraMotionIncluded=False,
-        motionVectorsJittered=True, color_size=(W, H), geometry_size=HALF,
+        mvecScale=(1 / W, 1 / H),
+        cameraNear=0.1,
+        cameraFar=100.0,
+        depthInverted=True,
+        cameraMotionIncluded=False,
+        motionVectorsJittered=True,
+        color_size=(W, H),
+        geometry_size=HALF,
     ),
     "xess": FrameFormat.xess(
         projectionMatrix=[[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, -0.1, 0]], initFlags=0b1100
     ),
     "openxr": FrameFormat.openxr(nearZ=math.inf, farZ=0.1, motionVectorScale=(1, 1, 1, 0)),
-}  # fmt: skip
+}
 
 
 @dataclass(frozen=True)

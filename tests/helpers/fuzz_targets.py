@@ -93,7 +93,7 @@ FILES = {
     "folder": ("sequence.json", "color_1.png", "depth_1.npy"),
     "blender": ("cameras.json", "frame_0001.exr"),
     "unreal": ("Shot.0018.exr",),
-}  # fmt: skip
+}
 
 
 # ---- targets -----------------------------------------------------

@@ -6,11 +6,17 @@ from collections.abc import Iterator
 from pathlib import Path
 
 MAY_BE_NULL = {  # where NULL means something
-    ("gffe_destroy", "g"), ("gffe_submit", "display_camera"), ("gffe_submit", "motion"),
+    ("gffe_destroy", "g"),
+    ("gffe_submit", "display_camera"),
+    ("gffe_submit", "motion"),
     ("gffe_set_format", "format"),
-    ("gffe_set_overlays", "overlays"), ("gffe_submit_after", "display_camera"), ("gffe_submit_after", "motion"),
-    ("gffe_submit_after", "done"), ("gffe_extrapolate_after", "done"), ("gffe_present_after", "done"),
-}  # fmt: skip
+    ("gffe_set_overlays", "overlays"),
+    ("gffe_submit_after", "display_camera"),
+    ("gffe_submit_after", "motion"),
+    ("gffe_submit_after", "done"),
+    ("gffe_extrapolate_after", "done"),
+    ("gffe_present_after", "done"),
+}
 # What a good call gives, by the type of a parameter, without const.
 GOOD = {
     "gffe *": "g", "gffe **": "&other", "gffe_options *": "&options", "gffe_camera *": "cameras",

@@ -35,9 +35,13 @@ class Recorded(NamedTuple):
 
 _BLOCKS, _PIXELS = Options(), Options(blocks=False)
 _LITERAL = Options(
-    crack_closing=False, static_threshold=0.7, levels=0, hole_filling="downsample", resampling="linear",
+    crack_closing=False,
+    static_threshold=0.7,
+    levels=0,
+    hole_filling="downsample",
+    resampling="linear",
     sharpness=False,
-)  # fmt: skip
+)
 CASES = {
     "default": Recorded(_PIXELS, (61, 37)),
     "default-larger": Recorded(_PIXELS, (64, 48), (48, 33)),
@@ -93,7 +97,9 @@ if __name__ == "__main__":
     after = {name: digests_of(open_device(), case) for name, case in CASES.items()}
     PATH.write_text(json.dumps(after, indent=1) + "\n")
     changed = [
-        f"{case}: {stage}" for case, held in after.items() for stage in held
+        f"{case}: {stage}"
+        for case, held in after.items()
+        for stage in held
         if held[stage] != before.get(case, {}).get(stage)
-    ]  # fmt: skip
+    ]
     print(f"{len(changed)} digests have changed", *changed, sep="\n")

@@ -37,9 +37,12 @@ class Refused:
 DEVICE = {"depth": "device", "near_z": 0.1, "far_z": 100.0}
 LOGARITHMIC = {"depth": "logarithmic", "near_z": 0.1, "far_z": 100.0}
 MOVERS = {"camera_motion": "movers_only", "motion_invalid": 0.0}
-PAIRS = (("depth_range", 0, (1.0,), (0.5, -1.0)), ("depth_range", 1, (0.0,), (0.5, -1.0)),
-         *(("motion_scale", k, (0.0, -0.0), (-2.0, 1e-300)) for k in range(2)),
-         *(("motion_offset", k, (), (0.0, -3.0)) for k in range(2)))  # fmt: skip
+PAIRS = (
+    ("depth_range", 0, (1.0,), (0.5, -1.0)),
+    ("depth_range", 1, (0.0,), (0.5, -1.0)),
+    *(("motion_scale", k, (0.0, -0.0), (-2.0, 1e-300)) for k in range(2)),
+    *(("motion_offset", k, (), (0.0, -3.0)) for k in range(2)),
+)
 TABLE = (
     # gffe_set_format
     Refused("format", "near_z", (*NONE, 1.0), (0.0, -5.0, 1e299)),
@@ -77,7 +80,7 @@ TABLE = (
     Refused("exposure", "exposure", NO_RATE, (1e-6, 1.0, 1e6)),
     Refused("submit", "time", NONE, (-1e299, 0.0, 5.0)),
     Refused("extrapolate", "time", (*NONE, -1.0, 1e6), (0.0, 0.1, 3.0)),
-)  # fmt: skip
+)
 
 
 def _put(target: Any, name: str, value: Any) -> Any:
@@ -171,9 +174,13 @@ class Calls:
         given = self._options(name, value)
         render = given["render_width"], given["render_height"]
         Pipeline(
-            self.pipeline.device, given["width"], given["height"], self.pipeline.options, render_size=render,
+            self.pipeline.device,
+            given["width"],
+            given["height"],
+            self.pipeline.options,
+            render_size=render,
             fps=given["fps"],
-        )  # fmt: skip
+        )
 
     def _c_options(self, name, value, base):
         given = self._options(name, value)

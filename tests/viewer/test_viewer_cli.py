@@ -298,9 +298,13 @@ def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
     (tmp_path / "script.py").write_text(script)
     environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "file"), "LIBGL_ALWAYS_SOFTWARE": "1"}
     child = subprocess.run(
-        [*SCREEN, sys.executable, "script.py", "view", "in"], env=environment, cwd=tmp_path, capture_output=True,
-        text=True, timeout=200,
-    )  # fmt: skip
+        [*SCREEN, sys.executable, "script.py", "view", "in"],
+        env=environment,
+        cwd=tmp_path,
+        capture_output=True,
+        text=True,
+        timeout=200,
+    )
     assert child.returncode == 0 and "Traceback" not in child.stderr
     assert child.stderr.strip().endswith("the settings cannot be saved: Not a directory")
 

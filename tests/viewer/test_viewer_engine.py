@@ -232,7 +232,7 @@ def test_every_layer_equals_a_plain_run(device):
         assert set(milliseconds) == {
             *("scene_cuts", "history", "sharpness", "connectivity", "prediction", "backward_blocks", "color_code"),
             *("warp", "hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
-        }  # fmt: skip
+        }
         # History tracking counts the samples of a cut, and encodes while the camera moves.
         assert milliseconds.pop("scene_cuts") == milliseconds.pop("color_code") == 0
         assert min(milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
@@ -329,9 +329,13 @@ def test_buffers_as_an_engine_has_them(device, tmp_path):
     with SequenceWriter(tmp_path / "given", W, H, FPS, format=format) as writer:
         for k, frame in enumerate(frames()[:4]):
             entry = FrameEntry(
-                f"{k}.exr", frame.time, reset=k == 0, render_camera=frame.camera, geometry_size=half,
+                f"{k}.exr",
+                frame.time,
+                reset=k == 0,
+                render_camera=frame.camera,
+                geometry_size=half,
                 geometry_jitter=(0.25 if k % 2 else -0.25, 0.0),
-            )  # fmt: skip
+            )
             motion = None if k == 0 else frame.motion[::2, ::2] / 2
             writer.add(entry, named_channels(frame.color, frame.depth[::2, ::2], motion))
     sequence = open_sequence(tmp_path / "given")
@@ -339,8 +343,10 @@ def test_buffers_as_an_engine_has_them(device, tmp_path):
         result = ask(engine, 6, Setup(n=1), "all")
         generated = ask(engine, 7, Setup(n=1), ("final", "upload.small_motion"))
     assert result.buffers == (
-        f"depth and motion {half[0]}×{half[1]}, color {W}×{H}", "geometry_jitter (+0.25, +0.00) px", "motion_jittered"
-    )  # fmt: skip
+        f"depth and motion {half[0]}×{half[1]}, color {W}×{H}",
+        "geometry_jitter (+0.25, +0.00) px",
+        "motion_jittered",
+    )
     converted = sequence.read(sequence.rendered[3])
     assert result.images["rendered.depth"].tobytes() == converted.depth.tobytes()
     assert result.images["rendered.motion"].tobytes() == converted.motion.tobytes()

@@ -57,15 +57,26 @@ def made(slot=1, n=1, error=0.1, seed=0, alpha=0.5, key=None):
     dynamic, holes = (np.zeros((HEIGHT, WIDTH), np.uint8) for _ in range(2))
     dynamic[:, :5], holes[:, -6:] = 1, 1
     images = {
-        names.FINAL: final, names.TRUTH: truth, names.DEPTH: depth, names.DYNAMIC: dynamic, names.DISOCCLUDED: holes,
-    }  # fmt: skip
+        names.FINAL: final,
+        names.TRUTH: truth,
+        names.DEPTH: depth,
+        names.DYNAMIC: dynamic,
+        names.DISOCCLUDED: holes,
+    }
     # the rendered frame saw three columns less at the right
     rendered = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2 - 3 + 6, HEIGHT / 2)
     moment = SimpleNamespace(alpha=alpha, camera=CAMERA, render_camera=rendered)
     return Frame(
-        key or Key(Recipe(0, 0, Setup(n=n), ""), slot), frozenset(images), moment, images, {},
-        {"warp": {"splat": 1.5}, "holes": {"fill": 0.25}}, 0.0, 0.0, render_size=(WIDTH, HEIGHT),
-    )  # fmt: skip
+        key or Key(Recipe(0, 0, Setup(n=n), ""), slot),
+        frozenset(images),
+        moment,
+        images,
+        {},
+        {"warp": {"splat": 1.5}, "holes": {"fill": 0.25}},
+        0.0,
+        0.0,
+        render_size=(WIDTH, HEIGHT),
+    )
 
 
 def shown(result):

@@ -838,8 +838,11 @@ def test_frames_are_written_as_slots_or_as_parts_of_the_way():
     playback = Playback(count=6, n=3)
     written = {"0": 0, "23": 23, "4+1/4": 17, "4 + 1/2": 18, "4+3/4": 19, "4+2/8": 17, "4+0": 16}
     assert {text: slot_of(text, playback) for text in written} == written
-    for text, message in (("24", r"expected 0 to 23 \(0 to 5\+3/4\), got 24"), ("6+1/4", "got 6"),
-                          ("4+1/3", r"4\+1/3: generated frames are at 4\+1/4")):  # fmt: skip
+    for text, message in (
+        ("24", r"expected 0 to 23 \(0 to 5\+3/4\), got 24"),
+        ("6+1/4", "got 6"),
+        ("4+1/3", r"4\+1/3: generated frames are at 4\+1/4"),
+    ):
         with pytest.raises(GffeError, match=message):
             slot_of(text, playback)
     for text in ("4+", "-1", "1.5", "4+1", "4+0/2", "4+2/2", "4+1/0", "", "x", "٣"):

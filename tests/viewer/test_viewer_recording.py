@@ -34,9 +34,11 @@ def played(device, form):
     for k in range(CUT, 7):
         given[k] = replace(given[k], color=np.float16(1) - given[k].color[::-1], depth=given[k].depth[::-1] * 3)
     layers = {
-        "fixed_mask": np.arange(W) < np.full((H, 1), 9), "effects": rng.random((H, W, 4), np.float32) / 2,
-        "effects_motion": rng.random((H, W, 2), np.float32), "ui": rng.random((H, W, 4)).astype(np.float16),
-    }  # fmt: skip
+        "fixed_mask": np.arange(W) < np.full((H, 1), 9),
+        "effects": rng.random((H, W, 4), np.float32) / 2,
+        "effects_motion": rng.random((H, W, 2), np.float32),
+        "ui": rng.random((H, W, 4)).astype(np.float16),
+    }
     if "described" in form:
         plain = replace(FORMAT, rows="down")
         given = [integers(stored(one, given[k - 1] if k else None, plain)) for k, one in enumerate(given)]
@@ -79,10 +81,14 @@ def test_the_layers_are_the_programs_own(device, tmp_path, form):
             cuts.append(recordings[0]._pipeline().is_cut)
 
     expected = plain_run(
-        device, source(), setup, wanted, camera_at=lambda at: None,
+        device,
+        source(),
+        setup,
+        wanted,
+        camera_at=lambda at: None,
         begin=lambda pipeline: recordings.append(gffe.record(pipeline, tmp_path / "seen")),
         format=FORMAT if "described" in form else None,
-    )  # fmt: skip
+    )
     recordings[0].close()
     sequence = gffe.open_sequence(tmp_path / "seen")
     assert (recordings[0].written, recordings[0].dropped, cuts) == (7, 0, [k == CUT for k in range(6)])

@@ -296,9 +296,10 @@ def test_a_layer_differs_in_a_plane_that_is_named():
     assert found.planes == (2, 1) and found.worst == (13, 7)
     looks, shown = [], []
     model = SimpleNamespace(
-        looks=SimpleNamespace(choose_plane=lambda *given: looks.append(given)), show_layer=shown.append,
+        looks=SimpleNamespace(choose_plane=lambda *given: looks.append(given)),
+        show_layer=shown.append,
         comparison=SimpleNamespace(with_settings=lambda: None, set=shown.append),
-    )  # fmt: skip
+    )
     show_difference(model, found)
     assert shown == [spec.name, "difference"] and looks == [(spec.name, 2)]
     frames[1].images.clear()

@@ -78,10 +78,14 @@ def test_every_option_with_a_flag_is_told():
         other = changed.get(name)
         if other is None:
             other = (
-                not option.default if option.kind is bool
-                else next(choice for choice in option.choices if choice != option.default) if option.choices
-                else option.low if option.default != option.low else option.low + 1
-            )  # fmt: skip
+                not option.default
+                if option.kind is bool
+                else next(choice for choice in option.choices if choice != option.default)
+                if option.choices
+                else option.low
+                if option.default != option.low
+                else option.low + 1
+            )
         assert option.words(option.default) == [] != option.words(other)
 
 

@@ -173,8 +173,9 @@ class Measurements:
         self._asked.add(frame.key)
         known = self.of(frame.key.recipe).get(frame.key.slot, Figures()).values
         for slow, waiting, most in (
-            (False, self._quick, 1 + _TO_MEASURE // frame.nbytes), (True, self._slow, _SLOW),
-        ):  # fmt: skip
+            (False, self._quick, 1 + _TO_MEASURE // frame.nbytes),
+            (True, self._slow, _SLOW),
+        ):
             job = self._background.run(self._by_metrics, frame, exposure, known, slow, soon=not slow)
             waiting.append((frame.key, job))
             while len(waiting) > most:

@@ -156,9 +156,14 @@ class Seeker:
         self.drop()  # before as much is allocated again
         source = self.source
         self.pipeline = Pipeline(
-            self.device, source.width, source.height, self._options, render_size=source.render_size, fps=source.fps,
+            self.device,
+            source.width,
+            source.height,
+            self._options,
+            render_size=source.render_size,
+            fps=source.fps,
             format=source.format,
-        )  # fmt: skip
+        )
         if not self._ring or self._ring[0].color.size != 8 * source.render_size[0] * source.render_size[1]:
             self._ring = []
             self._upload = Upload(Board(self.device, Sizes(source.render_size, source.render_size)))
@@ -195,10 +200,15 @@ class Seeker:
             pixels = host.in_device_layout()
         self.passed.appendleft(
             Passed(
-                m, frame.camera, frame.shown_camera, source.render_size, pixels.depth, pixels.motion,
+                m,
+                frame.camera,
+                frame.shown_camera,
+                source.render_size,
+                pixels.depth,
+                pixels.motion,
                 self._before is None,
             )
-        )  # fmt: skip
+        )
         self.bad_pixels = host.bad if self.stored and host else self._upload.take_bad_pixels() if host else BadPixels()
         self.invalid = invalid_pixels(host) if host and last and self.bad_pixels else None
 

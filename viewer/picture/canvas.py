@@ -309,9 +309,12 @@ class Canvas:
         compare = COMPARISONS.index(view.compare) if view.compare in _MIXING else 0
         masks = [self._layers.get(layer.mask) if view.mark_invalid else None for layer in shown]
         program = self._program(
-            *(n for layer in shown for n in layer.variant), compare, OVERLAYS.index(view.overlay), int(contrast > 0),
+            *(n for layer in shown for n in layer.variant),
+            compare,
+            OVERLAYS.index(view.overlay),
+            int(contrast > 0),
             int(any(masks)),
-        )  # fmt: skip
+        )
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}

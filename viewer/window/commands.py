@@ -395,8 +395,14 @@ def register(app: App) -> None:
 
 
 def _of_panel(name: str) -> Action:
-    return Action(f"toggle {name}", name, "Panels", "", lambda app: app.docks.toggle(name),
-                  checked=lambda app: app.docks.panel(name).is_visible)  # fmt: skip
+    return Action(
+        f"toggle {name}",
+        name,
+        "Panels",
+        "",
+        lambda app: app.docks.toggle(name),
+        checked=lambda app: app.docks.panel(name).is_visible,
+    )
 
 
 def _of_option(name: str, option: Option) -> list[Action]:
@@ -416,12 +422,16 @@ def _of_option(name: str, option: Option) -> list[Action]:
     for choice, text in option.choices.items():
         made.append(
             Action(
-                f"{name} choice {choice}", f"{option.label}: {choice}", "Parameters", "",
-                lambda app, choice=choice: app.model.set(name, choice), why_not,
+                f"{name} choice {choice}",
+                f"{option.label}: {choice}",
+                "Parameters",
+                "",
+                lambda app, choice=choice: app.model.set(name, choice),
+                why_not,
                 lambda app, choice=choice: app.model.parameters.value(name) == choice,
                 f"{text[:1].upper()}{text[1:]}.",
             )
-        )  # fmt: skip
+        )
     if option.kind in (int, float):
         ask = lambda app: app.palette.ask(name)  # noqa: E731
         made.append(
@@ -440,11 +450,16 @@ def register_layers(app: App) -> None:
         if f"layer {spec.name}" not in app.actions:
             app.actions.register(
                 Action(
-                    f"layer {spec.name}", f"{spec.group}: {spec.label}", LAYERS, "",
-                    lambda app, name=spec.name: app.model.show_layer(name), partial(why_not, spec.name),
-                    lambda app, name=spec.name: app.model.view.a == name, spec.description,
+                    f"layer {spec.name}",
+                    f"{spec.group}: {spec.label}",
+                    LAYERS,
+                    "",
+                    lambda app, name=spec.name: app.model.show_layer(name),
+                    partial(why_not, spec.name),
+                    lambda app, name=spec.name: app.model.view.a == name,
+                    spec.description,
                 )
-            )  # fmt: skip
+            )
 
 
 def nearest(text: str, known: list[str]) -> str:

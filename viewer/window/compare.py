@@ -71,8 +71,12 @@ def _settings(app: App) -> None:
     """Draw the kept settings, and the actions on them."""
     model, kept = app.model, app.model.kept.b
     widgets.heading("Settings A and B")
-    for name, icon in (("keep", icons.ICON_FA_BOOKMARK), ("swap", icons.ICON_FA_RIGHT_LEFT),
-                       ("copy_command", icons.ICON_FA_COPY), ("copy_command_b", icons.ICON_FA_CLONE)):  # fmt: skip
+    for name, icon in (
+        ("keep", icons.ICON_FA_BOOKMARK),
+        ("swap", icons.ICON_FA_RIGHT_LEFT),
+        ("copy_command", icons.ICON_FA_COPY),
+        ("copy_command_b", icons.ICON_FA_CLONE),
+    ):
         widgets.action_button(app.actions, name, icon)
         imgui.same_line()
     if kept is None:

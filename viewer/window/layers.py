@@ -83,9 +83,15 @@ def _display(model: Model) -> None:
         widgets.choice("tone map", display.tone_map, list(TONE_MAPS), lambda v: change(tone_map=v))
     elif view in ("motion", "place"):
         widgets.slider(
-            "full length", display.motion_scale, 0.25, 64.0, default_display(spec).motion_scale,
-            lambda v: change(motion_scale=v), "%.2f px", "Motion of this length is fully bright",
-        )  # fmt: skip
+            "full length",
+            display.motion_scale,
+            0.25,
+            64.0,
+            default_display(spec).motion_scale,
+            lambda v: change(motion_scale=v),
+            "%.2f px",
+            "Motion of this length is fully bright",
+        )
         widgets.toggle(
             "arrows", model.choices.arrows, lambda on: setattr(model.choices, "arrows", on), "Arrows over the picture"
         )
@@ -103,9 +109,15 @@ def _display(model: Model) -> None:
     if spec.planes > 1:
         shown = min(display.plane, spec.planes - 1) + 1
         widgets.slider(
-            "plane", shown, 1, spec.planes, 1, lambda v: model.looks.choose_plane(spec.name, int(v) - 1), "%d",
+            "plane",
+            shown,
+            1,
+            spec.planes,
+            1,
+            lambda v: model.looks.choose_plane(spec.name, int(v) - 1),
+            "%d",
             spec.description,
-        )  # fmt: skip
+        )
     if len(spec.channels) > 1:
         channel = display.channel or spec.channels[0]
         widgets.choice("channel", channel, list(spec.channels), lambda v: change(channel=v))

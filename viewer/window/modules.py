@@ -60,9 +60,12 @@ def _module(model: Model, name: str, option: Option) -> None:
     parameters = model.parameters
     reason = parameters.why_not(name)
     widgets.toggle(
-        _label(option), parameters.is_on(name) and reason is None,
-        partial(parameters.switch, name), parameters.fault(name) or option.sentence, reason,
-    )  # fmt: skip
+        _label(option),
+        parameters.is_on(name) and reason is None,
+        partial(parameters.switch, name),
+        parameters.fault(name) or option.sentence,
+        reason,
+    )
 
 
 def _parameter(model: Model, name: str, option: Option) -> None:
@@ -78,9 +81,11 @@ def _parameter(model: Model, name: str, option: Option) -> None:
     else:
         if option.automatic:
             widgets.toggle(
-                f"automatic {option.label}", value is None,
-                lambda on: change(None if on else by_hand(option)), option.sentence,
-            )  # fmt: skip
+                f"automatic {option.label}",
+                value is None,
+                lambda on: change(None if on else by_hand(option)),
+                option.sentence,
+            )
         if value is not None:
             high = option.high if option.usual_high is None else option.usual_high
             form = "%d" if option.kind is int else "%.2f"

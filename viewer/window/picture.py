@@ -54,8 +54,11 @@ def draw(app: App) -> None:
     texture = app.canvas.draw(view, (width, height))
     imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
     imgui.set_cursor_screen_pos(origin)
-    imgui.invisible_button("###picture", ImVec2(width, height), imgui.ButtonFlags_.mouse_button_left.value
-                           | imgui.ButtonFlags_.mouse_button_middle.value)  # fmt: skip
+    imgui.invisible_button(
+        "###picture",
+        ImVec2(width, height),
+        imgui.ButtonFlags_.mouse_button_left.value | imgui.ButtonFlags_.mouse_button_middle.value,
+    )
     place = Placement(model, origin, (width, height))
     _mouse(app, place)
     hovered = imgui.is_item_hovered()
@@ -150,9 +153,10 @@ def _arrows(model: Model, place, marks) -> None:
     image, scale, start = grid.image, grid.scale, grid.start
     height, width = image.shape[:2]
     step = max(_ARROW_SPACING / place.view.zoom, 1.0)
-    (left, top), (right, bottom) = place.to_display(place.origin), place.to_display(
-        ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])
-    )  # fmt: skip
+    (left, top), (right, bottom) = (
+        place.to_display(place.origin),
+        place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])),
+    )
     xs = np.arange(max(left, 0) + step / 2, min(right, model.source.width), step)
     ys = np.arange(max(top, 0) + step / 2, min(bottom, model.source.height), step)
     color = imgui.get_color_u32((1.0, 1.0, 1.0, 0.9))
@@ -281,9 +285,7 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         first = model.contents.result
         settings = f"{told(first.setup)}   " if model.comparison.by_settings and first is not None else ""
         builds = model.comparison.builds
-        texts = (
-            f"A  {settings}{builds[0]}{_layer_text(model, view.a)}", f"B  {builds[1]}{_layer_text(model, view.b)}"
-        )  # fmt: skip
+        texts = (f"A  {settings}{builds[0]}{_layer_text(model, view.a)}", f"B  {builds[1]}{_layer_text(model, view.b)}")
         a, b = (widgets.cut(text, width / 2 - 24 * widgets.mark_unit()) for text in texts)
         label(a, 10, 8)
         label(b, width - 10, 8, right=True)

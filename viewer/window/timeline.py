@@ -54,8 +54,9 @@ def _transport(app: App) -> None:
         modes = {"real time": "drops frames that come too late", "every frame": "waits for each"}
         _combo("mode", playback.mode, {mode: mode for mode in modes}, partial(setattr, playback, "mode"), 7, modes)
         row(width(4))
-        _combo("speed", playback.speed, {speed: f"{speed:g}×" for speed in _SPEEDS},
-               partial(setattr, playback, "speed"), 4)  # fmt: skip
+        _combo(
+            "speed", playback.speed, {speed: f"{speed:g}×" for speed in _SPEEDS}, partial(setattr, playback, "speed"), 4
+        )
         row(width(_LEAST_STATUS))
         imgui.align_text_to_frame_padding()
         long, short = _status(app.model)

@@ -96,8 +96,11 @@ def _vectors(look: Look) -> np.ndarray:
 def _too_few_usable(looks: list[Look]) -> list[Finding]:
     moving = [look for look in looks if PREVIOUS in look.neighbors and look.motion is not None]
     found = []
-    for buffer, chosen, least in (("color", looks, 0.0), ("depth", moving or looks, _LEAST_DEPTH),
-                                  ("motion", moving, _LEAST_MOTION)):  # fmt: skip
+    for buffer, chosen, least in (
+        ("color", looks, 0.0),
+        ("depth", moving or looks, _LEAST_DEPTH),
+        ("motion", moving, _LEAST_MOTION),
+    ):
         usable = np.concatenate([_usable(look, buffer) for look in chosen] or [np.ones(1, bool)])
         if usable.sum() < max(min(FEWEST, 0.5 * len(usable)), least * len(usable)) or not usable.any():
             found.append(NothingUsable(buffer, float(usable.mean()), _why(chosen, buffer)))

@@ -15,9 +15,14 @@ _FRAMES, _RUNS = 5, 3  # first frames, and runs of three of them that are looked
 
 
 def count_evidence(
-    evidence: np.ndarray, color: np.ndarray, color_prev: np.ndarray, depth: np.ndarray, depth_prev: np.ndarray,
-    motion: np.ndarray, exposure: float,
-) -> np.ndarray:  # fmt: skip
+    evidence: np.ndarray,
+    color: np.ndarray,
+    color_prev: np.ndarray,
+    depth: np.ndarray,
+    depth_prev: np.ndarray,
+    motion: np.ndarray,
+    exposure: float,
+) -> np.ndarray:
     """Return the evidence (H, W) uint8 of user interface after a frame, from that before it. Colors (H, W, 3 or 4),
     depths (H, W) and motion (H, W, 2) as of `RenderedFrame`; `…_prev`: of the frame before."""
     here, before = (_exposed(image, exposure) for image in (color, color_prev))

@@ -56,9 +56,15 @@ def inverted_flow(
 
 
 def composed(
-    motion: np.ndarray, depth: np.ndarray, camera: Camera,
-    between: np.ndarray, depth_between: np.ndarray, camera_between: Camera, before: Camera, steps: int = 1,
-) -> np.ndarray:  # fmt: skip
+    motion: np.ndarray,
+    depth: np.ndarray,
+    camera: Camera,
+    between: np.ndarray,
+    depth_between: np.ndarray,
+    camera_between: Camera,
+    before: Camera,
+    steps: int = 1,
+) -> np.ndarray:
     """Return the motion over one more frame (H, W, 2) float32: m₂(x) = m(x) + m′(x + m(x)).
 
     `motion`, over so many `steps`, `depth`, `camera` are of the frame itself; `between`, `depth_between`,

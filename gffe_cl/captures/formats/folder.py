@@ -255,8 +255,15 @@ class FolderPixels(ForeignPixels):
     def _in_our_form(self, frame: _Frame, motion: np.ndarray | None) -> RenderedFrame:
         entry, before = frame.entry, frame.before
         camera: Any = entry.render_camera  # None where `open_capture` was called for a capture without cameras
-        stored = RenderedFrame(self._read(frame, "color"), self._depth(frame), motion, camera, entry.time,
-                               reset=entry.reset, geometry_jitter=entry.geometry_jitter)  # fmt: skip
+        stored = RenderedFrame(
+            self._read(frame, "color"),
+            self._depth(frame),
+            motion,
+            camera,
+            entry.time,
+            reset=entry.reset,
+            geometry_jitter=entry.geometry_jitter,
+        )
         jitter = before.entry.geometry_jitter if before else (0.0, 0.0)
         return described_frame(stored, self._made.format_of(frame), before and before.entry.render_camera, jitter)
 

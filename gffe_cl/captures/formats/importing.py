@@ -62,9 +62,14 @@ def import_capture(
     report, names = ImportReport(), {entry.file for entry in sequence.frames}
     fps, size = sequence.fps / every, (sequence.width, sequence.height)
     writing = SequenceWriter(
-        output, *size, fps, sequence.exposure, generator="gffe-cl import", compression=compression,
+        output,
+        *size,
+        fps,
+        sequence.exposure,
+        generator="gffe-cl import",
+        compression=compression,
         format=sequence.format if every == 1 and encoding == EXACT else encoding.format,
-    )  # fmt: skip
+    )
     with writing as writer:
         for entry, frame, stays in _thinned(sequence, every, encoding):
             entry = _fitted(entry, encoding)

@@ -320,10 +320,15 @@ def _stored_format(format: FrameFormat | None, frame: RenderedFrame) -> FrameFor
         invalid = float(kind(np.round(invalid * motion_most)) if motion_most > 1 else kind(invalid))
     (near, far), scale = format.depth_range, format.motion_scale
     return replace(
-        format, color_type="float32", depth_type="float32", motion_type="float32", motion_channels=2,
-        depth_range=(near * depth_most, far * depth_most), motion_invalid=invalid,
+        format,
+        color_type="float32",
+        depth_type="float32",
+        motion_type="float32",
+        motion_channels=2,
+        depth_range=(near * depth_most, far * depth_most),
+        motion_invalid=invalid,
         motion_scale=(scale[0] / motion_most, scale[1] / motion_most),
-    )  # fmt: skip
+    )
 
 
 def _channels(frame: RenderedFrame) -> dict[str, np.ndarray]:

@@ -84,9 +84,14 @@ def run_sequence(
     source.refuse(output)
     size = (source.width, source.height)
     writing = SequenceWriter(
-        output, *size, source.fps, source.exposure, generator="gffe-cl run", compression=compression,
+        output,
+        *size,
+        source.fps,
+        source.exposure,
+        generator="gffe-cl run",
+        compression=compression,
         format=source.format,
-    )  # fmt: skip
+    )
     frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
     pipeline.exposure = source.exposure

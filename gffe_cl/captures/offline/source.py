@@ -244,9 +244,16 @@ class Live(Source):
     """
 
     def __init__(
-        self, scene: Scene, device: Device, width: int, height: int, count: int, fps: float, window: str = "off",
+        self,
+        scene: Scene,
+        device: Device,
+        width: int,
+        height: int,
+        count: int,
+        fps: float,
+        window: str = "off",
         upscale: float = 0.0,
-    ):  # fmt: skip
+    ):
         require_frames(count, fps)
         self.scene, self.name, self.exposure, self._device = scene, scene.name, scene.exposure, device
         self.width, self.height, self.count, self.fps = width, height, count, fps

@@ -62,9 +62,16 @@ class SceneFrames:
 
     @classmethod
     def for_upscaling(
-        cls, device: Device, scene: Scene, size: tuple[int, int], upscale: float, samples: int = 1,
-        jitter: Jitter | None = None, windows: WindowChooser | None = None, truths: SceneRenderer | None = None,
-    ) -> SceneFrames:  # fmt: skip
+        cls,
+        device: Device,
+        scene: Scene,
+        size: tuple[int, int],
+        upscale: float,
+        samples: int = 1,
+        jitter: Jitter | None = None,
+        windows: WindowChooser | None = None,
+        truths: SceneRenderer | None = None,
+    ) -> SceneFrames:
         """Return frames of `scene` for upscaling to a display of `size`: `upscale` times smaller each way, with
         `samples` per pixel, textures as fine as the display, and jitter (None: that of built-in scenes)."""
         width, height = (max(round(n / upscale), 1) for n in size)
@@ -233,9 +240,15 @@ def render_sequence(
     samples = samples or (1 if jitter.length > 1 else 8)
     job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale, encoding)
     writing = SequenceWriter(
-        output, width, height, fps, scene.exposure, generator="gffe-cl render", compression=compression,
+        output,
+        width,
+        height,
+        fps,
+        scene.exposure,
+        generator="gffe-cl render",
+        compression=compression,
         format=encoding.format,
-    )  # fmt: skip
+    )
     with writing as writer:
         for entry, channels in _rendered(job, frames, device):
             writer.add(entry, channels)

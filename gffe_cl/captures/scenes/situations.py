@@ -44,13 +44,23 @@ BACK, HALF_WIDTH, HEIGHT = -5.5, 4.5, 3.4  # meters; width and height of the hal
 def yard(rng: np.random.Generator, seed: int) -> list[Group]:
     """Return paving before a brick wall with windows, a bench and barrels."""
     paving = Material(
-        vary(rng, (0.4, 0.36, 0.31)), (0.16, 0.14, 0.12), pick(rng, "cobbles", "tiles"), scale=0.4, contrast=0.35,
-        roughness=0.85, seed=seed,
-    )  # fmt: skip
+        vary(rng, (0.4, 0.36, 0.31)),
+        (0.16, 0.14, 0.12),
+        pick(rng, "cobbles", "tiles"),
+        scale=0.4,
+        contrast=0.35,
+        roughness=0.85,
+        seed=seed,
+    )
     brick = Material(
-        vary(rng, pick(rng, (0.42, 0.2, 0.13), (0.45, 0.36, 0.26), (0.36, 0.35, 0.34))), (0.5, 0.47, 0.42), "bricks",
-        scale=0.16, contrast=0.35, roughness=0.9, seed=seed,
-    )  # fmt: skip
+        vary(rng, pick(rng, (0.42, 0.2, 0.13), (0.45, 0.36, 0.26), (0.36, 0.35, 0.34))),
+        (0.5, 0.47, 0.42),
+        "bricks",
+        scale=0.16,
+        contrast=0.35,
+        roughness=0.9,
+        seed=seed,
+    )
     frame, pane = Material((0.6, 0.58, 0.54), roughness=0.6), Material((0.05, 0.07, 0.09), contrast=0.1)
     groups = [
         Group([Box((0, -0.1, -10), (60, 0.2, 60), paving)], name="paving"),
@@ -104,9 +114,13 @@ def hall(rng: np.random.Generator, seed: int) -> list[Group]:
     groups += [Group([Box((s * (w + 0.1), h / 2, middle), (0.2, h, length), paper)], name="wall") for s in (-1, 1)]
     for x in (-2.6, -0.2, 2.3):
         art = Material(
-            vary(rng, (0.6, 0.5, 0.35), 0.6), vary(rng, (0.2, 0.28, 0.42), 0.7), "picture", scale=0.3, contrast=0.3,
+            vary(rng, (0.6, 0.5, 0.35), 0.6),
+            vary(rng, (0.2, 0.28, 0.42), 0.7),
+            "picture",
+            scale=0.3,
+            contrast=0.3,
             seed=int(rng.integers(1 << 16)),
-        )  # fmt: skip
+        )
         size = rng.uniform(0.8, 1.3), rng.uniform(0.6, 0.9)
         hung = [Box((x, 1.9, BACK), (size[0] + 0.1, size[1] + 0.1, 0.06), IRON)]
         groups.append(Group([*hung, Box((x, 1.9, BACK + 0.02), (*size, 0.06), art)], name="picture"))
@@ -227,9 +241,12 @@ def rotors(seed: int, rng: np.random.Generator) -> Scene:
 
 def _ball(at: Motion, radius: float, rng) -> Group:
     rubber = Material(
-        vary(rng, pick(rng, *_PAINTS), 0.3), vary(rng, (0.66, 0.64, 0.56)), pick(rng, "stripes", "checker"),
-        scale=radius * 0.7, roughness=0.4,
-    )  # fmt: skip
+        vary(rng, pick(rng, *_PAINTS), 0.3),
+        vary(rng, (0.66, 0.64, 0.56)),
+        pick(rng, "stripes", "checker"),
+        scale=radius * 0.7,
+        roughness=0.4,
+    )
     return Group([Sphere((0, 0, 0), radius, rubber)], at, name="ball")
 
 

@@ -240,14 +240,19 @@ class FrameFormat:
                 f"fsr3: motion vectors at display resolution {_by(display)} beside depth at {_by(render)}"
                 " (expected both at renderSize)"
             )
-        planes = [require_number(value, f"fsr3: {name}", infinite=True)
-                  for name, value in (("cameraNear", cameraNear), ("cameraFar", cameraFar))]  # fmt: skip
+        planes = [
+            require_number(value, f"fsr3: {name}", infinite=True)
+            for name, value in (("cameraNear", cameraNear), ("cameraFar", cameraFar))
+        ]
         near, far = min(planes), math.inf if flags & _FSR_DEPTH_INFINITE else max(planes)
         made: dict[str, Any] = dict(
-            color_size=display, geometry_size=render, motion_scale=motionVectorScale,
-            motion_jittered=bool(flags & _FSR_JITTER_CANCELLATION), motion_type="float16",
+            color_size=display,
+            geometry_size=render,
+            motion_scale=motionVectorScale,
+            motion_jittered=bool(flags & _FSR_JITTER_CANCELLATION),
+            motion_type="float16",
             **_device_depth(near, far, bool(flags & _FSR_DEPTH_INVERTED)),
-        )  # fmt: skip
+        )
         return cls(**(made | others))
 
     @classmethod
@@ -285,12 +290,16 @@ class FrameFormat:
         if not included and invalid is None:
             invalid = 0.0
         made: dict[str, Any] = dict(
-            motion_scale=mvecScale, motion_unit="uv", motion_type="float16",
+            motion_scale=mvecScale,
+            motion_unit="uv",
+            motion_type="float16",
             motion_channels=4 if require_bool(motionVectors3D, "streamline: motionVectors3D") else 2,
-            motion_dilated=motionVectorsDilated, motion_jittered=motionVectorsJittered, motion_invalid=invalid,
+            motion_dilated=motionVectorsDilated,
+            motion_jittered=motionVectorsJittered,
+            motion_invalid=invalid,
             camera_motion="included" if included else "movers_only",
             **_device_depth(cameraNear, cameraFar, require_bool(depthInverted, "streamline: depthInverted")),
-        )  # fmt: skip
+        )
         return cls(**(made | others))
 
     @classmethod
@@ -317,11 +326,14 @@ class FrameFormat:
         near, far = depth_planes(square(projectionMatrix, "projectionMatrix"), bool(flags & _XEFG_INVERTED_DEPTH))
         in_ndc = flags & _XEFG_USE_NDC_VELOCITY
         made: dict[str, Any] = dict(
-            motion_scale=(motionVectorScaleX, motionVectorScaleY), motion_type="float16",
-            motion_unit="ndc" if in_ndc else "pixels", motion_y="up" if in_ndc else "down",
-            motion_dilated=bool(flags & _XEFG_HIGH_RES_MV), motion_jittered=bool(flags & _XEFG_JITTERED_MV),
+            motion_scale=(motionVectorScaleX, motionVectorScaleY),
+            motion_type="float16",
+            motion_unit="ndc" if in_ndc else "pixels",
+            motion_y="up" if in_ndc else "down",
+            motion_dilated=bool(flags & _XEFG_HIGH_RES_MV),
+            motion_jittered=bool(flags & _XEFG_JITTERED_MV),
             **_device_depth(near, far, bool(flags & _XEFG_INVERTED_DEPTH)),
-        )  # fmt: skip
+        )
         return cls(**(made | others))
 
     @classmethod
@@ -351,11 +363,18 @@ class FrameFormat:
             for name, given in (("motionVectorScale", motionVectorScale), ("motionVectorOffset", motionVectorOffset))
         )
         made: dict[str, Any] = dict(
-            motion_scale=tuple(scale.tolist()), motion_offset=tuple(offset.tolist()), motion_unit="ndc",
-            motion_direction="from_previous", motion_y="down", motion_type="float16",
+            motion_scale=tuple(scale.tolist()),
+            motion_offset=tuple(offset.tolist()),
+            motion_unit="ndc",
+            motion_direction="from_previous",
+            motion_y="down",
+            motion_type="float16",
             motion_channels=2 if flags & _XR_USE_2D_MOTION_VECTOR else 4,
-            depth="device", near_z=nearZ, far_z=farZ, depth_range=(minDepth, maxDepth),
-        )  # fmt: skip
+            depth="device",
+            near_z=nearZ,
+            far_z=farZ,
+            depth_range=(minDepth, maxDepth),
+        )
         return cls(**(made | others))
 
     # ---- in text ---------------------------------------------------------------------------------------
@@ -363,8 +382,10 @@ class FrameFormat:
     def to_json(self) -> dict[str, Any]:
         """Return the fields that differ from the defaults, as JSON has them: infinity as "infinity"."""
         changed = {f.name: v for f in fields(self) if (v := getattr(self, f.name)) != f.default}
-        return {name: _JSON_INFINITY if v == math.inf else list(v) if isinstance(v, tuple) else v
-                for name, v in changed.items()}  # fmt: skip
+        return {
+            name: _JSON_INFINITY if v == math.inf else list(v) if isinstance(v, tuple) else v
+            for name, v in changed.items()
+        }
 
     @classmethod
     def from_json(cls, given: Any) -> FrameFormat:

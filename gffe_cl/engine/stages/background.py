@@ -205,9 +205,14 @@ def _all_levels(spec: BufferSpec, levels: int) -> BufferSpec:
     """Return the buffer that holds those of all levels, one after another."""
     part_of = "memory" if spec.known_where else ""
     return replace(
-        spec, name=spec.part_of, grid=f"levels{levels}", part_of=part_of, scratch=True, description="of all levels",
+        spec,
+        name=spec.part_of,
+        grid=f"levels{levels}",
+        part_of=part_of,
+        scratch=True,
+        description="of all levels",
         known_where=None,
-    )  # fmt: skip
+    )
 
 
 def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec, int]:

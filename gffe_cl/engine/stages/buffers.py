@@ -129,16 +129,30 @@ class Sizes:
 # Width and height in pixels that a texel covers, by the kind of grid: of those laid over the rendered image, and over
 # the extrapolated one; with a level, of level 0.
 _ON_SOURCE = {
-    "source": (1, 1), "source_blocks": BLOCK, "cells": (8, 8), "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
-    "runs": (RUN_PIXELS, 1), "level": (1, 1), "levels": (1, 1),
-}  # fmt: skip
+    "source": (1, 1),
+    "source_blocks": BLOCK,
+    "cells": (8, 8),
+    "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
+    "runs": (RUN_PIXELS, 1),
+    "level": (1, 1),
+    "levels": (1, 1),
+}
 _ON_TARGET = {
-    "target": (1, 1), "target_blocks": BLOCK, "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
+    "target": (1, 1),
+    "target_blocks": BLOCK,
+    "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
     "network": (2, 2),
-}  # fmt: skip
+}
 _LAID_OVER_NOTHING = (
-    "once", "walk", "cut_samples", "measures", "predictions", "list_source", "list_target", "flat_level",
-)  # fmt: skip
+    "once",
+    "walk",
+    "cut_samples",
+    "measures",
+    "predictions",
+    "list_source",
+    "list_target",
+    "flat_level",
+)
 
 
 @dataclass(frozen=True)

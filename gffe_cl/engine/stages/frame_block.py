@@ -93,9 +93,13 @@ class BlockWriter:
         if camera is not None:
             source = frame.camera
             put, start = _NEW
-            put(block, start,
-                *_reprojection(source, camera), *_reprojection(camera, source), *_reprojection(camera, before.camera),
-            )  # fmt: skip
+            put(
+                block,
+                start,
+                *_reprojection(source, camera),
+                *_reprojection(camera, source),
+                *_reprojection(camera, before.camera),
+            )
             put, start = _ZOOM
             put(block, start, camera.fx / source.fx, camera.fy / source.fy)
             weights = [weight for row in _polynomial(times[: order + 1], time) for weight in row]

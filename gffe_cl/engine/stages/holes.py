@@ -31,10 +31,15 @@ class HiddenParts(NearestStage):
     needs_footprints = True
     buffers = (
         BufferSpec(
-            "offered", np.uint32, (), "list_target", "pixels to which parts that reappear are offered",
-            scratch=True, transient=True,
+            "offered",
+            np.uint32,
+            (),
+            "list_target",
+            "pixels to which parts that reappear are offered",
+            scratch=True,
+            transient=True,
         ),
-    )  # fmt: skip
+    )
     kernels = (
         Kernel(
             "fill_hidden_parts",

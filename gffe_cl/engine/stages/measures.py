@@ -69,9 +69,14 @@ class UserInterface(Stage):
         brought = {"has_overlays": given is not None}
         step = Step(frame, previous, [frame.time], exposure=exposure, given=brought)
         self.launch(
-            "count_evidence", step, color=frame.color, color_prev=before.color, depth=frame.depth,
-            depth_prev=before.depth, motion=frame.motion,
-        )  # fmt: skip
+            "count_evidence",
+            step,
+            color=frame.color,
+            color_prev=before.color,
+            depth=frame.depth,
+            depth_prev=before.depth,
+            motion=frame.motion,
+        )
         self.launch("mark_user_interface", step, given_mask=self.buffer["mask"] if given is None else given)
         return {**layers, "fixed_mask": self.buffer["mask"]}
 
@@ -97,10 +102,15 @@ class SceneCuts(Stage):
     builds_at_once = False  # it has no kernels of its own
     buffers = (
         BufferSpec(
-            "counts", np.int32, COUNTED, "once", "of each row of samples of the rendered frame: how many are so",
-            planes=CUT_SAMPLES[1], scratch=True,
+            "counts",
+            np.int32,
+            COUNTED,
+            "once",
+            "of each row of samples of the rendered frame: how many are so",
+            planes=CUT_SAMPLES[1],
+            scratch=True,
         ),
-    )  # fmt: skip
+    )
 
     def __init__(self, board: Board):
         super().__init__(board)
@@ -175,15 +185,22 @@ class Sharpness(Stage):
     buffers = (
         BufferSpec("sharpness", np.float32, (), "once", "how much sharper edges are than interpolated ones, 0 to 2"),
         BufferSpec(
-            "evidence", np.float32, _SUMS, "once",
+            "evidence",
+            np.float32,
+            _SUMS,
+            "once",
             "differences between rendered frames that sharpness explains, and what it changes: sums of squares, white"
             " being 1, in which earlier frames count less and less",
         ),
         BufferSpec(
-            "pending", np.int32, (*_SUMS, "added"), "once",
-            "these sums while they are added up, and how many work-groups have added to them", scratch=True,
+            "pending",
+            np.int32,
+            (*_SUMS, "added"),
+            "once",
+            "these sums while they are added up, and how many work-groups have added to them",
+            scratch=True,
         ),
-    )  # fmt: skip
+    )
     kernels = (
         Kernel(
             "measure_sharpness",

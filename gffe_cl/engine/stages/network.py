@@ -37,12 +37,17 @@ class NetworkInput(Stage):
     paper = "Shading Correction Network"
     buffers = (
         BufferSpec(
-            "frames", np.float32, (), "network", "inputs of the network: encoded GAE color (1–3), encoded warped"
+            "frames",
+            np.float32,
+            (),
+            "network",
+            "inputs of the network: encoded GAE color (1–3), encoded warped"
             " previous frame (4–6), inverse depth (7), input mask (8); half resolution",
-            planes=INPUT_PLANES, mapped=True,
+            planes=INPUT_PLANES,
+            mapped=True,
         ),
         BufferSpec("median_depth", np.float32, (), "once", "of the finite depths of 64×36 pixels, to 1/256"),
-    )  # fmt: skip
+    )
     kernels = (
         Kernel(
             "find_median",
@@ -125,10 +130,15 @@ class Convolutions(Stage):
     builds_at_once = False
     buffers = (
         BufferSpec(
-            _NOTHING, np.uint8, (), "once", "stands in for an image that a layer does without", planes=BLOCK,
+            _NOTHING,
+            np.uint8,
+            (),
+            "once",
+            "stands in for an image that a layer does without",
+            planes=BLOCK,
             scratch=True,
         ),
-    )  # fmt: skip
+    )
     kernels = (
         Kernel(
             "take",
@@ -206,9 +216,16 @@ class Convolutions(Stage):
 def _image_spec(image: Image) -> BufferSpec:
     """Return the buffer of an image. At first it holds the byte that stands for 0: that remains as its border."""
     return BufferSpec(
-        image.name, np.uint8, (), f"network{image.level}", "bytes in blocks of four channels", planes=image.channels,
-        scratch=True, border=_BORDER, byte=image.zero,
-    )  # fmt: skip
+        image.name,
+        np.uint8,
+        (),
+        f"network{image.level}",
+        "bytes in blocks of four channels",
+        planes=image.channels,
+        scratch=True,
+        border=_BORDER,
+        byte=image.zero,
+    )
 
 
 def _uploaded(device: Device, array: np.ndarray) -> cl.Buffer:

@@ -41,7 +41,12 @@ class Composition(Stage):
     swaps_alone = True
     buffers = (
         BufferSpec(
-            "depth", np.float32, (), "source", "depth of the rendered frame without overlays that keep place", "depth",
+            "depth",
+            np.float32,
+            (),
+            "source",
+            "depth of the rendered frame without overlays that keep place",
+            "depth",
             kept=True,
         ),
         BufferSpec("fixed_mask", np.uint8, (), "source", "1 where the rendered pixel stays in place", "mask"),
@@ -49,7 +54,7 @@ class Composition(Stage):
         BufferSpec("effects_motion", np.float32, XY, "source", "their motion t → t−1, pixels", "motion"),
         BufferSpec("ui", np.float16, RGBA, "target", "user interface, premultiplied", "color"),
         BufferSpec("color", np.float16, RGBA, "target", "the picture with all of these", "color"),
-    )  # fmt: skip
+    )
 
     kernels = (
         Kernel(
@@ -69,11 +74,10 @@ class Composition(Stage):
             },
             {
                 "out_color": "composition.color",
-                **{name: f"frame.{name}" for name in
-                   ("depth", "motion", "dynamic", "disoccluded", "filled_by")},
+                **{name: f"frame.{name}" for name in ("depth", "motion", "dynamic", "disoccluded", "filled_by")},
             },
         ),
-    )  # fmt: skip
+    )
 
     def __init__(self, board: Board):
         super().__init__(board)

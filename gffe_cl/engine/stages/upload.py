@@ -166,10 +166,15 @@ class Upload(Stage):
         # The motion of the other size has room for dilated motion until that is undone.
         converted = motion if not is_dilated else frame.motion if is_small else self.buffer["small_motion"]
         self.launch(
-            "convert_geometry", step,
-            given_depth=given_depth, depth_start=depth_start, given_motion=given_motion, motion_start=motion_start,
-            depth=depth, motion=converted,
-        )  # fmt: skip
+            "convert_geometry",
+            step,
+            given_depth=given_depth,
+            depth_start=depth_start,
+            given_motion=given_motion,
+            motion_start=motion_start,
+            depth=depth,
+            motion=converted,
+        )
         if is_dilated:
             self.launch("undo_dilation", step, depth=depth, dilated=converted, motion=motion)
         if is_small:
@@ -212,10 +217,15 @@ class Upload(Stage):
         given_depth, depth_start = places["depth"]
         given_motion, motion_start = places.get("motion", (frame.motion, 0))
         self.launch(
-            "take_geometry", **self._size,
-            given_depth=given_depth, depth_start=depth_start, given_motion=given_motion, motion_start=motion_start,
-            depth=frame.depth, motion=frame.motion,
-        )  # fmt: skip
+            "take_geometry",
+            **self._size,
+            given_depth=given_depth,
+            depth_start=depth_start,
+            given_motion=given_motion,
+            motion_start=motion_start,
+            depth=frame.depth,
+            motion=frame.motion,
+        )
         self.copied_bytes += frame.depth.size + (frame.motion.size if "motion" in places else 0)
 
     def take_bad_pixels(self) -> BadPixels:

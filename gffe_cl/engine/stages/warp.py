@@ -149,10 +149,14 @@ class ColorCode(Stage):
     name = "color_code"
     buffers = (
         BufferSpec(
-            "codes", np.float16, RGBA, "source",
-            "colors in the code for interpolation, as far as they are mixed; NaN is 0, infinities are clamped", "color",
+            "codes",
+            np.float16,
+            RGBA,
+            "source",
+            "colors in the code for interpolation, as far as they are mixed; NaN is 0, infinities are clamped",
+            "color",
         ),
-    )  # fmt: skip
+    )
     kernels = (
         Kernel(
             "encode_colors",
@@ -161,7 +165,7 @@ class ColorCode(Stage):
             {"codes": "color_code.codes"},
             step=("LANES", "BLOCK_HEIGHT"),
         ),
-    )  # fmt: skip
+    )
 
     def __init__(self, board: Board):
         board.facts["code_offset"] = _OFFSET if board.options.resampling == "perceptual" else 0.0
@@ -176,14 +180,23 @@ class ColorCode(Stage):
 
 
 _OPEN = BufferSpec(
-    "open", np.uint32, (), "list_target", "how many pixels are holes, then their indices", scratch=True, transient=True,
-)  # fmt: skip
+    "open",
+    np.uint32,
+    (),
+    "list_target",
+    "how many pixels are holes, then their indices",
+    scratch=True,
+    transient=True,
+)
 _LINES = BufferSpec(
-    "border_lines", np.float32, (), "cells",
+    "border_lines",
+    np.float32,
+    (),
+    "cells",
     "structure tensor of the color code, xx, xy and yy, in cells at the rendered image's border; 0 elsewhere; while"
     " the camera stays, an older one",
     planes=3,
-)  # fmt: skip
+)
 _KEYS = {name: f"warp.{name}" for name in ("keys", "winners")}
 NEW_FRAME = {
     "out_color": "frame.color",

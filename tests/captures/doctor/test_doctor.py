@@ -195,9 +195,11 @@ def test_a_run_detects_a_user_interface(gffe, tmp_path):
     hud, plain = written(tmp_path / "hud", with_interface()), written(tmp_path / "good", clip())
     made = {}
     for name, folder, options in (
-        ("auto", hud, ()), ("on", hud, ("--ui-detection", "on")), ("off", hud, ("--ui-detection", "off")),
+        ("auto", hud, ()),
+        ("on", hud, ("--ui-detection", "on")),
+        ("off", hud, ("--ui-detection", "off")),
         ("plain", plain, ()),
-    ):  # fmt: skip
+    ):
         code, text, error = gffe("run", folder, tmp_path / name, "--no-scn", *options, checked=True)
         assert code == 0, error
         assert ("user interface detection is on" in text) == (name == "auto")

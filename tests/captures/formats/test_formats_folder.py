@@ -104,12 +104,23 @@ def test_everything_at_once_and_on_the_device(tmp_path, device):
         srgb = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1 / 2.4) - 0.055)
         Image.fromarray((srgb * 255).round().astype(np.uint8)).save(folder / f"c{number}.png")
 
-    fields = {"rows": "up", "color_encoding": "srgb", "motion_unit": "uv", "motion_y": "up", "motion_scale": [2, 2],
-              "motion_offset": [-1, -1], "motion_direction": "from_previous"}  # fmt: skip
+    fields = {
+        "rows": "up",
+        "color_encoding": "srgb",
+        "motion_unit": "uv",
+        "motion_y": "up",
+        "motion_scale": [2, 2],
+        "motion_offset": [-1, -1],
+        "motion_direction": "from_previous",
+    }
     sequence = write(
-        tmp_path, lambda shot: shot.depth[::-1], lambda shot: ((shot.motion / (-W, H) + 1) / 2)[::-1], images,
-        color="c%d.png", frame_format=fields,
-    )  # fmt: skip
+        tmp_path,
+        lambda shot: shot.depth[::-1],
+        lambda shot: ((shot.motion / (-W, H) + 1) / 2)[::-1],
+        images,
+        color="c%d.png",
+        frame_format=fields,
+    )
     pipeline = Pipeline(device, W, H, Options(shading_correction=False), format=sequence.format)
     for entry, shot in zip(sequence.rendered, rendered(), strict=True):
         frame = sequence.read(entry)
@@ -132,8 +143,13 @@ def test_commands_keep_the_format(gffe, tmp_path, command):
         Image.fromarray((np.clip(np.float64(shot.color), 0, 1) * 255).astype(np.uint8)).save(folder / f"c{number}.png")
 
     (tmp_path / "in").mkdir()
-    given = write(tmp_path / "in", lambda shot: np.float32(NEAR / shot.depth), also=images, color="c%d.png",
-                  frame_format=DEVICE | {"far_z": "infinity", "depth_range": [1, 0]})  # fmt: skip
+    given = write(
+        tmp_path / "in",
+        lambda shot: np.float32(NEAR / shot.depth),
+        also=images,
+        color="c%d.png",
+        frame_format=DEVICE | {"far_z": "infinity", "depth_range": [1, 0]},
+    )
     assert gffe(command, tmp_path / "in", tmp_path / "out", *(["--no-scn"] if command == "run" else []))[0] in (0, 1)
     made = open_capture(tmp_path / "out")
     for entry, other in zip(given.rendered, made.rendered, strict=True):
@@ -164,8 +180,12 @@ def test_motion_of_integers(tmp_path):
         made = {"normalized": lambda m: (m / (W, H) + 1) / 2 * 65535, "raw": lambda m: m * 64 + 2**15}[values]
         (tmp_path / values).mkdir()
         said = {"file": "motion.%03d.npy", "values": values}
-        sequence = write(tmp_path / values, motion_as=lambda shot, made=made: made(np.float64(shot.motion)).round()
-                         .astype(np.uint16), motion=said, frame_format=of)  # fmt: skip
+        sequence = write(
+            tmp_path / values,
+            motion_as=lambda shot, made=made: made(np.float64(shot.motion)).round().astype(np.uint16),
+            motion=said,
+            frame_format=of,
+        )
         same(sequence, motion=1 / 64)
 
 
@@ -206,9 +226,10 @@ def test_buffers_of_other_frames(tmp_path):
     """Motion that was recorded a frame late is in the file of the next frame; the last one is left out."""
     given = rendered()
     sequence = write(
-        tmp_path, motion_as=lambda shot: given[max(given.index(shot) - 1, 0)].motion,
+        tmp_path,
+        motion_as=lambda shot: given[max(given.index(shot) - 1, 0)].motion,
         motion={"file": "motion.%03d.npy", "frame_offset": 1},
-    )  # fmt: skip
+    )
     assert len(sequence.rendered) == 2
     np.testing.assert_array_equal(sequence.read(sequence.rendered[1]).motion, given[1].motion.astype(np.float32))
 
@@ -225,8 +246,12 @@ NONES = {
 @pytest.mark.parametrize("said", NONES)
 def test_vectors_that_were_never_written_are_nan(tmp_path, said):
     keys, fields, made = NONES[said]
-    sequence = write(tmp_path, motion_as=lambda shot: made(shot.motion).astype(np.float32),
-                     motion={"file": "motion.%03d.npy", **keys}, frame_format=fields)  # fmt: skip
+    sequence = write(
+        tmp_path,
+        motion_as=lambda shot: made(shot.motion).astype(np.float32),
+        motion={"file": "motion.%03d.npy", **keys},
+        frame_format=fields,
+    )
     frame, shot = sequence.read(sequence.rendered[1]), rendered()[1]
     assert (np.isnan(frame.motion).all(-1) == UNWRITTEN).all()
     np.testing.assert_array_equal(frame.motion[~UNWRITTEN], shot.motion[~UNWRITTEN].astype(np.float32))
@@ -251,16 +276,21 @@ def test_pixels_lie_where_the_data_window_says(tmp_path, window):
     """Outside color is black, depth and motion are unknown."""
     x0, y0, x1, y1 = WINDOWS[window]
     y, x = np.clip(np.arange(y0, y1), 0, H - 1), np.clip(np.arange(x0, x1), 0, W - 1)
-    box = {"dataWindow": (np.array([x0, y0], np.int32), np.array([x1 - 1, y1 - 1], np.int32)),
-           "displayWindow": (np.zeros(2, np.int32), np.array([W - 1, H - 1], np.int32))}  # fmt: skip
+    box = {
+        "dataWindow": (np.array([x0, y0], np.int32), np.array([x1 - 1, y1 - 1], np.int32)),
+        "displayWindow": (np.zeros(2, np.int32), np.array([W - 1, H - 1], np.int32)),
+    }
 
     def files(folder, number, shot):
         planes = dict(zip("RGB", np.moveaxis(shot.color, -1, 0), strict=True)) | {"Z": shot.depth}
         planes |= {"u": np.float32(shot.motion[..., 0]), "v": np.float32(shot.motion[..., 1])}
         write_exr(folder / f"f{number}.exr", {name: plane[np.ix_(y, x)] for name, plane in planes.items()}, windows=box)
 
-    named = {"color": "f%d.exr", "depth": {"file": "f%d.exr", "channels": ["Z"]},
-             "motion": {"file": "f%d.exr", "channels": ["u", "v"]}}  # fmt: skip
+    named = {
+        "color": "f%d.exr",
+        "depth": {"file": "f%d.exr", "channels": ["Z"]},
+        "motion": {"file": "f%d.exr", "channels": ["u", "v"]},
+    }
     sequence = write(tmp_path, also=files, **named)
     frame, shot = sequence.read(sequence.rendered[1]), rendered()[1]
     inside = np.zeros((H, W), bool)
@@ -318,8 +348,12 @@ def test_planes_of_every_frame(tmp_path):
         near = next(nears)
         p[2, 2:] = -(FAR + near) / (FAR - near), -2 * FAR * near / (FAR - near)
 
-    sequence = write(tmp_path, lambda shot: device_depth(shot, next(stored)), frame_format={"depth": "device"},
-                     cameras=of_opengl(change) | {"opengl_buffer": True})  # fmt: skip
+    sequence = write(
+        tmp_path,
+        lambda shot: device_depth(shot, next(stored)),
+        frame_format={"depth": "device"},
+        cameras=of_opengl(change) | {"opengl_buffer": True},
+    )
     same(sequence, depth=1e-5)
 
 
@@ -336,8 +370,9 @@ def test_the_range_that_a_matrix_of_opengl_leaves_open_is_named(tmp_path):
     def to_zero(p):
         p[2, 2:] = NEAR / (FAR - NEAR), NEAR * FAR / (FAR - NEAR)
 
-    reversed_planes = write(tmp_path / "in", lambda shot: device_depth(shot, reverse=True), cameras=of_opengl(to_zero),
-                            frame_format=format)  # fmt: skip
+    reversed_planes = write(
+        tmp_path / "in", lambda shot: device_depth(shot, reverse=True), cameras=of_opengl(to_zero), frame_format=format
+    )
     same(reversed_planes, depth=1e-4)
     assert len(reversed_planes.notes) == 1
 
@@ -465,7 +500,7 @@ def test_negative_numbers(tmp_path):
         (lambda d: d.update(width=W + 1), "expected 98×55"),
         (lambda d: d.update(version=3), "unknown version"),
     ],
-)  # fmt: skip
+)
 def test_faults(tmp_path, change, words):
     write(tmp_path)
     edit_json(tmp_path / "sequence.json", change)

@@ -26,9 +26,17 @@ from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 
 W, H = 40, 26
 FORMAT = FrameFormat(
-    depth="device", near_z=0.5, far_z=math.inf, depth_range=(1, 0), motion_unit="ndc", motion_y="up",
-    motion_invalid=9.0, motion_jittered=True, motion_direction="from_previous", motion_type="float16",
-)  # fmt: skip
+    depth="device",
+    near_z=0.5,
+    far_z=math.inf,
+    depth_range=(1, 0),
+    motion_unit="ndc",
+    motion_y="up",
+    motion_invalid=9.0,
+    motion_jittered=True,
+    motion_direction="from_previous",
+    motion_type="float16",
+)
 MOVERS = replace(FORMAT, camera_motion="movers_only", motion_jittered=False)
 FROM_BELOW = replace(
     MOVERS,
@@ -145,10 +153,23 @@ def test_the_quick_check_takes_a_description():
     scene = Rects([Rect((0, 0, 6), frequency=0.5), Rect((0.4, 0, 3), (0.7, 0.5), frequency=2)])
     poses = [(camera(96, 64, (0.1 * k, 0.03 * k, 0), 0.02 * k), k / 30) for k in range(3)]
     frames = [scene.frame(*p, 96, 64, poses[k - 1] if k else None, reset=k == 0) for k, p in enumerate(poses)]
-    stored = [replace(f, color=np.round(np.clip(f.color, 0, 1) * 255).astype(np.uint8), motion=-f.motion / (96, 64),
-                      depth=np.round(0xFFFFFF * 0.5 / f.depth).astype(np.uint32)) for f in frames]  # fmt: skip
-    right = FrameFormat(depth="device", near_z=0.5, far_z=math.inf, depth_range=(1, 0), motion_unit="uv",
-                        motion_direction="from_previous")  # fmt: skip
+    stored = [
+        replace(
+            f,
+            color=np.round(np.clip(f.color, 0, 1) * 255).astype(np.uint8),
+            motion=-f.motion / (96, 64),
+            depth=np.round(0xFFFFFF * 0.5 / f.depth).astype(np.uint32),
+        )
+        for f in frames
+    ]
+    right = FrameFormat(
+        depth="device",
+        near_z=0.5,
+        far_z=math.inf,
+        depth_range=(1, 0),
+        motion_unit="uv",
+        motion_direction="from_previous",
+    )
     assert check(frames) is None and check(stored, format=right) is None
     assert "motion" in check(stored, format=replace(right, motion_direction="to_previous"))
     with pytest.raises(GffeError, match=r"color is 9×9 \(expected the render size 96×64\)"):

@@ -97,8 +97,13 @@ def test_names():
     assert Encoding.parse("engine").parts >= {"half-uv", "two-lookups", "half-depth", "8bit-color", "noisy-camera"}
     assert Encoding.parse("rounded,half-depth").parts == {"rounded", "half-depth"} and not EXACT.parts
     assert Encoding.parse("exact") == EXACT and Encoding.parse("game").parts == {
-        "taa", "half", "dilated", "half-motion", "half-depth", "hud"
-    }  # fmt: skip
+        "taa",
+        "half",
+        "dilated",
+        "half-motion",
+        "half-depth",
+        "hud",
+    }
     for wrong in ("", "third", "half-uv,unorm8", "engine,rounded", "half-uv,", "engine,taa"):
         with pytest.raises(GffeError, match="--encode"):
             Encoding.parse(wrong)

@@ -78,9 +78,13 @@ def streamline(world):
     """Vectors in pixels, jittered; depth not inverted."""
     here, before = world.ndc(jitter=JITTER, jitter_before=JITTER_BEFORE)
     made = FrameFormat.streamline(
-        mvecScale=(1 / W, 1 / H), cameraNear=NEAR, cameraFar=FAR, depthInverted=False, motionVectorsJittered=True,
+        mvecScale=(1 / W, 1 / H),
+        cameraNear=NEAR,
+        cameraFar=FAR,
+        depthInverted=False,
+        motionVectorsJittered=True,
         motionVectorsInvalidValue=float(np.finfo(np.float32).max),
-    )  # fmt: skip
+    )
     return made, here[..., 2], (before - here)[..., :2] * (W / 2, -H / 2)
 
 
@@ -115,9 +119,14 @@ def openxr(world):
     here, before = world.ndc(far=math.inf, inverted=True, jitter_before=NONE)
     scale, offset = np.array([0.5, -2.0]), np.array([0.125, -0.25])
     made = FrameFormat.openxr(
-        motionVectorScale=(*scale, 1, 0), motionVectorOffset=(*offset, 0, 0), minDepth=0.2, maxDepth=0.9,
-        nearZ=math.inf, farZ=NEAR, layerFlags=1,
-    )  # fmt: skip
+        motionVectorScale=(*scale, 1, 0),
+        motionVectorOffset=(*offset, 0, 0),
+        minDepth=0.2,
+        maxDepth=0.9,
+        nearZ=math.inf,
+        farZ=NEAR,
+        layerFlags=1,
+    )
     vectors = (here - before)[..., :2] * (1, -1)
     return made, 0.2 + 0.7 * here[..., 2], (vectors - offset) / scale
 
@@ -149,9 +158,16 @@ def test_engines_buffers_become_our_conventions(device, engine):
     color = np.zeros((H, W, 3), np.uint8)
     for k, (view, jitter) in enumerate(((BEFORE, JITTER_BEFORE), (NOW, JITTER))):
         pipeline.submit(
-            RenderedFrame(color, depth.astype(np.float32), vectors.astype(np.float32), view, k / 30, reset=k == 0,
-                          geometry_jitter=jitter if jittered else NONE)
-        )  # fmt: skip
+            RenderedFrame(
+                color,
+                depth.astype(np.float32),
+                vectors.astype(np.float32),
+                view,
+                k / 30,
+                reset=k == 0,
+                geometry_jitter=jitter if jittered else NONE,
+            )
+        )
     found, moved = np.empty((H, W), np.float32), np.empty((H, W, 2), np.float32)
     for array, buffer in ((found, pipeline.frames.current.depth), (moved, pipeline.frames.current.motion)):
         cl.enqueue_copy(device.queue, array, buffer)

@@ -57,9 +57,14 @@ ON_A_DEVICE = {
     "Device.buffer", "Device.empty", "Device.from_context", "sharing_support",
 }  # fmt: skip
 WITH_A_FAKE_DRIVER = {
-    "MemorySharing", "MemorySharing.acquire", "MemorySharing.release", "MemorySharing.buffer",
-    "MemorySharing.semaphore", "MemorySharing.wait", "MemorySharing.signal",
-}  # fmt: skip
+    "MemorySharing",
+    "MemorySharing.acquire",
+    "MemorySharing.release",
+    "MemorySharing.buffer",
+    "MemorySharing.semaphore",
+    "MemorySharing.wait",
+    "MemorySharing.signal",
+}
 RECORDS = {"SharingSupport", "DeviceInfo", "BadPixels", "Overlays", "RenderedFrame", "FrameEntry", "Window"}
 MADE_BY_OTHERS = {"Device", "ExtrapolatedFrame", "PresentedFrame", "Sequence", "GffeError"}
 

@@ -118,9 +118,15 @@ def test_what_the_camera_carries_moves_on_in_view_space(device):
     carried = Group(blade, camera @ Place(-0.25, -0.3, -1.2) @ Swing("z", 35, 1.1))
     in_world = Group(blade, Place(0.6, 0, -2.5) @ Swing("z", 35, 1.1))
     scene = Scene(
-        "wiper", "", 0, [*room, carried, in_world], [Light("lamp", (2, 4, 3), (30, 30, 28))], Air(),
-        lambda time: camera(time)[:3, 3], lambda time: camera(time)[:3, 3] - np.array((0, 0, 1.0)),
-    )  # fmt: skip
+        "wiper",
+        "",
+        0,
+        [*room, carried, in_world],
+        [Light("lamp", (2, 4, 3), (30, 30, 28))],
+        Air(),
+        lambda time: camera(time)[:3, 3],
+        lambda time: camera(time)[:3, 3] - np.array((0, 0, 1.0)),
+    )
     frames = SceneFrames(SceneRenderer(device, scene, *size))
     options = [Options(shading_correction=False, camera_fixed=on) for on in (False, True)]
     pipelines = [Pipeline(device, *size, option) for option in options]
@@ -157,9 +163,15 @@ def test_what_recoils_is_still_carried(device):
     weapon = Group([Box((0, 0, 0), (0.3, 0.3, 0.4), RED)], camera @ sways)
     room = [Group([Box((0, -0.9, -8), (40, 0.2, 40), GRAY)]), Group([Box((0, 2, -16), (40, 12, 0.2), GRAY)])]
     scene = Scene(
-        "weapon", "", 0, [*room, weapon], [Light("lamp", (2, 4, 3), (30, 30, 28))], Air(),
-        lambda time: camera(time)[:3, 3], lambda time: camera(time)[:3, 3] - np.array((0, 0, 1.0)),
-    )  # fmt: skip
+        "weapon",
+        "",
+        0,
+        [*room, weapon],
+        [Light("lamp", (2, 4, 3), (30, 30, 28))],
+        Air(),
+        lambda time: camera(time)[:3, 3],
+        lambda time: camera(time)[:3, 3] - np.array((0, 0, 1.0)),
+    )
     pipeline, carried = Pipeline(device, 128, 72, Options(shading_correction=False)), []
     for frame in SceneFrames(SceneRenderer(device, scene, 128, 72)).sequence(6):
         pipeline.submit(frame)

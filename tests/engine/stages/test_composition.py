@@ -51,8 +51,9 @@ def played(device, options=GAE, change=lambda frame: frame, frames=4, overlays=l
 
 
 @pytest.mark.parametrize("size, render_size", [((32, 20), (32, 20)), ((29, 17), (24, 31))])
-@pytest.mark.parametrize("names", ["fixed_mask", "effects", "effects effects_motion", "ui",
-                                   "fixed_mask effects effects_motion ui"])  # fmt: skip
+@pytest.mark.parametrize(
+    "names", ["fixed_mask", "effects", "effects effects_motion", "ui", "fixed_mask effects effects_motion ui"]
+)
 def test_kernel_equals_its_twin(device, size, render_size, names):
     """Color within half's rounding, the rest exactly; NaN and infinity included, and motion out of the image."""
     rng = np.random.default_rng(5)

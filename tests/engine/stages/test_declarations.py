@@ -57,8 +57,10 @@ def test_kernels_and_constants_are_read_from_the_source():
     kernels = parse_kernels(source)
     assert list(kernels) == ["first", "second"]
     assert [(a.name, a.type, a.buffer, a.read_only) for a in kernels["first"]] == [
-        ("width", "int", False, True), ("color", "half", True, True), ("mask", "uchar", True, False)
-    ]  # fmt: skip
+        ("width", "int", False, True),
+        ("color", "half", True, True),
+        ("mask", "uchar", True, False),
+    ]
     assert [a.name for a in kernels["second"]] == ["nodes", "count", "zoom"]
 
 

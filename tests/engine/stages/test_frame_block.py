@@ -19,6 +19,9 @@ def test_kernel_writes_the_block(case):
         board.blocks.forget()
         for name in FRAME.names:
             assert written[0][name].tobytes() == given[name].tobytes(), (slot, name)
-        sizes = {f"{grid}_{side}": n for grid in ("source", "target")
-                 for side, n in zip(("width", "height"), board.sizes.of(grid), strict=True)}  # fmt: skip
+        sizes = {
+            f"{grid}_{side}": n
+            for grid in ("source", "target")
+            for side, n in zip(("width", "height"), board.sizes.of(grid), strict=True)
+        }
         assert {name: int(written[0][name]) for name in sizes} == sizes

@@ -60,9 +60,14 @@ def test_kernel_counts_as_its_twin(device, size):
         pipeline.submit(frame)
     past, now = seen[-2:]
     expected = twins_cuts.counts(
-        now.color, now.depth, now.motion, past.color, past.depth, reprojection(now.camera, past.camera),
+        now.color,
+        now.depth,
+        now.motion,
+        past.color,
+        past.depth,
+        reprojection(now.camera, past.camera),
         float(np.linalg.norm(now.camera.position - past.camera.position)),
-    )  # fmt: skip
+    )
     rows = pipeline.stages["scene_cuts"].read("counts")[: min(size[1], CUT_SAMPLES[1])]
     counted = dict(zip(COUNTED, rows.sum(0).tolist(), strict=True))
     assert all(abs(counted[name] - expected[name]) <= 2 for name in COUNTED), (counted, expected)

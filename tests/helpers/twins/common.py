@@ -114,12 +114,14 @@ def cubic_weights(t, slope):
     t2 = t * t
     t3 = t2 * t
     slope = F(slope)
-    return np.stack([
-        slope * (F(2) * t2 - t - t3),
-        F(1) + (slope - F(3)) * t2 + (F(2) - slope) * t3,
-        slope * t + (F(3) - F(2) * slope) * t2 + (slope - F(2)) * t3,
-        slope * (t3 - t2),
-    ])  # fmt: skip
+    return np.stack(
+        [
+            slope * (F(2) * t2 - t - t3),
+            F(1) + (slope - F(3)) * t2 + (F(2) - slope) * t3,
+            slope * t + (F(3) - F(2) * slope) * t2 + (slope - F(2)) * t3,
+            slope * (t3 - t2),
+        ]
+    )
 
 
 def cubic_of(taps, u, v, sharpness, white):

@@ -32,11 +32,13 @@ def _depth_is_right(px_prev, expected, depth_prev):
     """Return (compared, right) of samples that land inside."""
     height, width = depth_prev.shape
     first = np.floor(px_prev - F(0.5)).astype(int)
-    taps = np.stack([
-        depth_prev[np.clip(first[:, 1] + j, 0, height - 1), np.clip(first[:, 0] + i, 0, width - 1)]
-        for j in (0, 1)
-        for i in (0, 1)
-    ])  # fmt: skip
+    taps = np.stack(
+        [
+            depth_prev[np.clip(first[:, 1] + j, 0, height - 1), np.clip(first[:, 0] + i, 0, width - 1)]
+            for j in (0, 1)
+            for i in (0, 1)
+        ]
+    )
     sky = np.isposinf(taps)
     nearest = np.where(invalid(taps), np.inf, taps).min(0)
     farthest = np.where(invalid(taps), 0, taps).max(0)

@@ -154,10 +154,18 @@ def find_candidates(frames, trends, alpha):
     held = np.clip(product / (square + FLOW.LITTLE), F(0), F(1))
     gain = FLOW.GAIN
     known = [
-        (F(1) / CANDIDATES.FOUND_UNIT) * found, gain * np.sqrt(still)[None], gain * np.sqrt(along)[None],
-        (along / still)[None], gain * moved, gain * last, gain * (FLOW.THIRD * total)[None],
-        (gain * (now - before))[None], held[None], share, np.full_like(share, alpha),
-    ]  # fmt: skip
+        (F(1) / CANDIDATES.FOUND_UNIT) * found,
+        gain * np.sqrt(still)[None],
+        gain * np.sqrt(along)[None],
+        (along / still)[None],
+        gain * moved,
+        gain * last,
+        gain * (FLOW.THIRD * total)[None],
+        (gain * (now - before))[None],
+        held[None],
+        share,
+        np.full_like(share, alpha),
+    ]
     return flow, differences, np.concatenate(known)
 
 

@@ -23,10 +23,11 @@ def compare(color, depth, motion, dynamic, color_prev, depth_prev, to_previous):
     y, x = (
         n.ravel()
         for n in np.meshgrid(
-            (2 * np.arange(rows) + 1) * height // (2 * rows), (2 * np.arange(columns) + 1) * width // (2 * columns),
+            (2 * np.arange(rows) + 1) * height // (2 * rows),
+            (2 * np.arange(columns) + 1) * width // (2 * columns),
             indexing="ij",
         )
-    )  # fmt: skip
+    )
     z = depth[y, x]
     use = ~invalid(z) & ~np.isinf(z)
     center = np.stack([x, y], -1).astype(F) + F(0.5)

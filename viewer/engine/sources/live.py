@@ -51,9 +51,17 @@ class SceneSource(Live, FrameSource):
     live = windowed = has_truth = True
 
     def __init__(
-        self, scene: Scene, device: Device, width: int, height: int, fps: float | None = None,
-        window: str | None = None, count: int = 600, samples: int = 8, cache_bytes: int = CACHE_BYTES,
-    ):  # fmt: skip
+        self,
+        scene: Scene,
+        device: Device,
+        width: int,
+        height: int,
+        fps: float | None = None,
+        window: str | None = None,
+        count: int = 600,
+        samples: int = 8,
+        cache_bytes: int = CACHE_BYTES,
+    ):
         self._whole, self._most = SceneRenderer(device, scene, width, height, samples), cache_bytes
         self._truths: OrderedDict[tuple, np.ndarray] = OrderedDict()
         self._flown: dict[float, Camera] = {}  # by k + alpha

@@ -92,8 +92,11 @@ def continues(sequence: Sequence, longer: Sequence) -> bool:
     """Return whether `longer` is `sequence` with more rendered frames after those that it has."""
     count = len(sequence.rendered)
     same = (sequence.width, sequence.height, sequence.fps, sequence.exposure) == (
-        longer.width, longer.height, longer.fps, longer.exposure,
-    )  # fmt: skip
+        longer.width,
+        longer.height,
+        longer.fps,
+        longer.exposure,
+    )
     return same and len(longer.rendered) > count and longer.rendered[:count] == sequence.rendered
 
 

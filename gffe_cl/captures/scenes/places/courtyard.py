@@ -40,14 +40,20 @@ FOUNTAIN = (0.0, -2.6)
 def build(seed: int, rng: np.random.Generator) -> Scene:
     plaster = Material(
         vary(rng, pick(rng, (0.62, 0.5, 0.34), (0.6, 0.4, 0.3), (0.62, 0.58, 0.5), (0.58, 0.46, 0.42))),
-        scale=0.9, contrast=0.16, roughness=0.95, seed=seed,
-    )  # fmt: skip
+        scale=0.9,
+        contrast=0.16,
+        roughness=0.95,
+        seed=seed,
+    )
     stone = Material(vary(rng, (0.52, 0.48, 0.42)), scale=0.5, contrast=0.25, roughness=0.85, seed=seed + 1)
     paving = Material(
         *pick(rng, ((0.38, 0.35, 0.31), (0.17, 0.15, 0.13)), ((0.38, 0.29, 0.23), (0.2, 0.16, 0.12))),
         texture=pick(rng, "cobbles", "tiles", "bricks"),
-        scale=pick(rng, 0.35, 0.5), contrast=0.3, roughness=0.8, seed=seed,
-    )  # fmt: skip
+        scale=pick(rng, 0.35, 0.5),
+        contrast=0.3,
+        roughness=0.8,
+        seed=seed,
+    )
     groups = [Group([Box((0, -0.5, 0), (60, 1.0, 60), paving)], name="paving")]
     for yaw in (0, 90, 180, 270):
         groups += _side(rng, yaw, plaster, stone)
@@ -177,9 +183,13 @@ def _laundry(rng) -> list[Group]:
             width, drop = rng.uniform(0.8, 1.5), rng.uniform(1.0, 1.6)
             color = vary(rng, pick(rng, (0.7, 0.69, 0.66), (0.6, 0.12, 0.1), (0.12, 0.3, 0.5), (0.65, 0.5, 0.14)))
             cloth = Material(
-                color, tint(color, 0.5), pick(rng, "plain", "stripes", "checker"), scale=0.14, contrast=0.1,
+                color,
+                tint(color, 0.5),
+                pick(rng, "plain", "stripes", "checker"),
+                scale=0.14,
+                contrast=0.1,
                 roughness=1.0,
-            )  # fmt: skip
+            )
             swing = Swing("x", rng.uniform(26, 42), rng.uniform(1.3, 1.8), gust + 0.04 * x)
             at = line @ Place(x + width / 2, 0, 0) @ swing
             if rng.random() < 0.45:

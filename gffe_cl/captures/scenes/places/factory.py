@@ -78,13 +78,25 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
 def _hall(rng, seed, fans) -> list[Group]:
     """Return floor, walls, roof with trusses; the left wall has openings for the `fans`."""
     floor = Material(
-        vary(rng, pick(rng, (0.36, 0.36, 0.35), (0.26, 0.32, 0.3), (0.38, 0.33, 0.28))), (0.22, 0.22, 0.22), "tiles",
-        scale=2.4, contrast=0.25, roughness=0.12, specular=0.045, mirror=0.8, seed=seed,
-    )  # fmt: skip
+        vary(rng, pick(rng, (0.36, 0.36, 0.35), (0.26, 0.32, 0.3), (0.38, 0.33, 0.28))),
+        (0.22, 0.22, 0.22),
+        "tiles",
+        scale=2.4,
+        contrast=0.25,
+        roughness=0.12,
+        specular=0.045,
+        mirror=0.8,
+        seed=seed,
+    )
     brick = Material(
-        vary(rng, pick(rng, (0.42, 0.24, 0.18), (0.42, 0.41, 0.38), (0.45, 0.38, 0.28))), (0.28, 0.26, 0.24), "bricks",
-        scale=0.14, contrast=0.3, roughness=0.9, seed=seed,
-    )  # fmt: skip
+        vary(rng, pick(rng, (0.42, 0.24, 0.18), (0.42, 0.41, 0.38), (0.45, 0.38, 0.28))),
+        (0.28, 0.26, 0.24),
+        "bricks",
+        scale=0.14,
+        contrast=0.3,
+        roughness=0.9,
+        seed=seed,
+    )
     roof = Material((0.2, 0.21, 0.22), (0.1, 0.1, 0.1), "planks", scale=0.5, roughness=0.9)
     length, middle, width = NEAR - FAR, (NEAR + FAR) / 2, 2 * HALF_WIDTH
     low, high = FAN_Y - FAN_RADIUS, FAN_Y + FAN_RADIUS
@@ -162,8 +174,11 @@ def _curtain(rng) -> list[Group]:
     """Return clear plastic strips in a gateway across the hall, each swinging on its own; light passes."""
     tinted = Material(
         vary(rng, pick(rng, (0.95, 0.9, 0.7), (0.85, 0.93, 0.95), (0.95, 0.8, 0.62))),
-        transparency=0.72, specular=0.05, mirror=0.05, roughness=0.02,
-    )  # fmt: skip
+        transparency=0.72,
+        specular=0.05,
+        mirror=0.05,
+        roughness=0.02,
+    )
     z, width, top = -4.4 + rng.uniform(-0.4, 0.4), 4.4, 3.0
     x0 = -1.6
     posts = [Box((x0 + s * width, top / 2, z), (0.16, top, 0.16), IRON) for s in (0, 1)]
@@ -186,8 +201,13 @@ def _office(rng) -> list[Group]:
     groups = []
     for a in np.linspace(z0, z1, 5)[:-1]:
         b = a - (z0 - z1) / 4
-        groups.append(Group([Box((x, h / 2, (a + b) / 2), (0.012, h, a - b - 0.08), pick(rng, tinted, GLASS))],
-                            casts_shadow=False, name="glass panel"))  # fmt: skip
+        groups.append(
+            Group(
+                [Box((x, h / 2, (a + b) / 2), (0.012, h, a - b - 0.08), pick(rng, tinted, GLASS))],
+                casts_shadow=False,
+                name="glass panel",
+            )
+        )
         groups.append(Group([Box((x, h / 2, a), (0.08, h, 0.08), IRON)], name="mullion"))
     groups.append(
         Group([Box((x, h / 2, z1), (0.08, h, 0.08), IRON), Box((x, h, (z0 + z1) / 2), (0.1, 0.1, z0 - z1), IRON)])

@@ -209,8 +209,11 @@ def _people(rng) -> list[Group]:
     for side in (1.0, -1.0):
         near, far = rng.uniform(2.5, 5.0), rng.uniform(-6.5, -4.0)
         a, b = 1.5 * side, 1.95 * side
-        lane = Path(((a, near), (a, (near + far) / 2), (a, far), (b, far), (b, (near + far) / 2), (b, near)),
-                    rng.uniform(0.8, 1.4), rng.random())  # fmt: skip
+        lane = Path(
+            ((a, near), (a, (near + far) / 2), (a, far), (b, far), (b, (near + far) / 2), (b, near)),
+            rng.uniform(0.8, 1.4),
+            rng.random(),
+        )
         groups += walker(lane, rng)
     ring = [(1.5 * np.cos(a), -9.8 + 1.6 * np.sin(a)) for a in np.linspace(0, 2 * np.pi, 8)[:-1]]
     groups += walker(Path(ring, rng.uniform(0.9, 1.5), rng.random()), rng)

@@ -83,9 +83,16 @@ def _ground(rng, seed) -> list[Group]:
         (0.045, 0.046, 0.05), contrast=0.5, scale=0.5, roughness=0.06, specular=0.05, mirror=0.9, seed=seed
     )
     slabs = Material(
-        vary(rng, (0.17, 0.165, 0.16)), (0.06, 0.06, 0.06), pick(rng, "tiles", "cobbles"), scale=0.5, contrast=0.3,
-        roughness=0.14, specular=0.03, mirror=0.8, seed=seed + 1,
-    )  # fmt: skip
+        vary(rng, (0.17, 0.165, 0.16)),
+        (0.06, 0.06, 0.06),
+        pick(rng, "tiles", "cobbles"),
+        scale=0.5,
+        contrast=0.3,
+        roughness=0.14,
+        specular=0.03,
+        mirror=0.8,
+        seed=seed + 1,
+    )
     paint = Material((0.4, 0.4, 0.38), contrast=0.5, scale=0.2, roughness=0.1, specular=0.04, mirror=0.7)
     water = Material((0.01, 0.011, 0.013), contrast=0.0, roughness=0.0, specular=0.07, mirror=1.0)
     length, middle = NEAR - FAR, (NEAR + FAR) / 2
@@ -108,9 +115,13 @@ def _house(at: Place, rng, width, height) -> list[Group]:
     """Return a house with its front in the plane z = 0; some windows lit, a shop below."""
     wall = Material(
         vary(rng, pick(rng, (0.5, 0.46, 0.4), (0.42, 0.24, 0.17), (0.4, 0.42, 0.44), (0.52, 0.42, 0.28))),
-        (0.3, 0.28, 0.26), pick(rng, "plain", "plain", "bricks"), scale=0.13, contrast=0.2, roughness=0.9,
+        (0.3, 0.28, 0.26),
+        pick(rng, "plain", "plain", "bricks"),
+        scale=0.13,
+        contrast=0.2,
+        roughness=0.9,
         seed=int(rng.integers(999)),
-    )  # fmt: skip
+    )
     trim = Material(vary(rng, (0.5, 0.48, 0.44)), roughness=0.7, contrast=0.1)
     dark = Material((0.02, 0.022, 0.03), roughness=0.02, specular=0.06, mirror=1.0, contrast=0.0)
     glow = vary(rng, pick(rng, (1.0, 0.66, 0.32), (1.0, 0.8, 0.5), (0.6, 0.75, 1.0)))
@@ -126,9 +137,14 @@ def _house(at: Place, rng, width, height) -> list[Group]:
         for j in range(max(int(height / 3.1), 1)):
             lit = rng.random() < (0.5 if j == 0 else 0.22)
             room = Material(
-                tint(glow, 0.5), tint(glow, 0.12), "books" if j == 0 else "stripes", scale=0.45,
-                emission=tint(glow, rng.uniform(0.25, 0.7)), contrast=0.3, seed=int(rng.integers(999)),
-            )  # fmt: skip
+                tint(glow, 0.5),
+                tint(glow, 0.12),
+                "books" if j == 0 else "stripes",
+                scale=0.45,
+                emission=tint(glow, rng.uniform(0.25, 0.7)),
+                contrast=0.3,
+                seed=int(rng.integers(999)),
+            )
             w, h, y = (1.8, 2.0, 1.6) if j == 0 else (1.0, 1.6, 1.75 + 3.1 * j)
             prims += [
                 Box((x, y, 0), (w + 0.2, h + 0.2, 0.1), trim),
@@ -213,9 +229,14 @@ def _neon(rng, lights) -> list[Group]:
         color, z = _NEON[order[k]], z + rng.uniform(-1, 1)
         x, y = s * (FACADE - 0.75), rng.uniform(3.5, 4.2)
         letters = Material(
-            tint(color, 0.02), tint(color, 0.6), "sign", scale=0.3, emission=(0.0, 0.0, 0.0), contrast=0.0,
+            tint(color, 0.02),
+            tint(color, 0.6),
+            "sign",
+            scale=0.3,
+            emission=(0.0, 0.0, 0.0),
+            contrast=0.0,
             seed=int(rng.integers(999)),
-        )  # fmt: skip
+        )
         tube = Material(tint(color, 0.4), emission=tint(color, rng.uniform(2.5, 4.0)), contrast=0.0)
         arm = Box((s * (FACADE - 0.35), y, z), (0.8, 0.05, 0.05), IRON)
         groups.append(Group([arm], name="arm"))

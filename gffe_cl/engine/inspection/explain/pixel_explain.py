@@ -46,9 +46,14 @@ _MIXED = 2 * constants("background.cl")["SAME_LEVEL"]  # relative depth within w
 
 
 def pixel_story(
-    pipeline: Pipeline, shot: Shot, x: int, y: int, values: PixelValues | None = None,
-    passed: Iterable[Passed] = (), fault: str = "",
-) -> Story:  # fmt: skip
+    pipeline: Pipeline,
+    shot: Shot,
+    x: int,
+    y: int,
+    values: PixelValues | None = None,
+    passed: Iterable[Passed] = (),
+    fault: str = "",
+) -> Story:
     """Return the story of display pixel (x, y), read from the pipeline's buffers; `values` may bring its
     `pixel_values`, `passed` are the frames submitted last, newest first. `fault`: what is wrong with its pixel of the
     rendered image."""

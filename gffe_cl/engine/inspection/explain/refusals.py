@@ -95,8 +95,9 @@ def _was_hidden(pipeline: Pipeline, shot: Shot, block: _Block, x: int, y: int) -
     steps = max(abs(x - block.pixel[0]), abs(y - block.pixel[1]))
     for t in range(1, steps):
         between = (
-            block.pixel[0] + t * (x - block.pixel[0]) // steps, block.pixel[1] + t * (y - block.pixel[1]) // steps
-        )  # fmt: skip
+            block.pixel[0] + t * (x - block.pixel[0]) // steps,
+            block.pixel[1] + t * (y - block.pixel[1]) // steps,
+        )
         depth = float(block.at(names.DEPTH, *between)[0])
         if not block.at(names.DISOCCLUDED, *between)[0] and not depth < _MOVERS["NEARER"] * z:
             return False, f"a surface between them at depth {depth:.4g} does not stand before the mover at {z:.4g}."
