@@ -1,4 +1,4 @@
-"""Output folder of a sequence: files are written into `OUT.part`, which takes its place when all are whole."""
+"""Output folder of a sequence: files are written into `OUT.part` and take their places when all are whole."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import open_regular
 
 GENERATOR = "gffe-cl"
-PART, _OLD = ".part", ".old"
+PART, _EARLIER = ".part", ".earlier"
 
 
 def refuse_same_folder(output, source) -> None:
@@ -110,34 +110,35 @@ class OutputFolder:
                 folder.rmdir()
 
     def _replace(self) -> None:
-        """Give the new folder the place of the earlier one, at once."""
+        """Give the new files the places of the earlier ones. The folder itself, which may be the current one, and files
+        that no earlier run wrote stay. Where that fails, the earlier output is put back."""
         if not self._target.exists():
             os.rename(self.staging, self._target)
             return
-        old = _beside(self._target, _OLD)
-        shutil.rmtree(old, ignore_errors=True)
-        os.rename(self._target, old)
-        try:
-            os.rename(self.staging, self._target)
-        except OSError:
-            os.rename(old, self._target)
-            raise
-        self._move_foreign(old)
-        shutil.rmtree(old, ignore_errors=True)
+        earlier = self.staging / _EARLIER
+        new = [path for path in sorted(self.staging.rglob("*")) if path.is_symlink() or not path.is_dir()]
+        names = [str(path.relative_to(self.staging)) for path in new if path.name != FILE_NAME] + [FILE_NAME]
+        moved: list[tuple[Path, Path]] = []  # from, to
 
-    def _move_foreign(self, old: Path, below: str = "") -> None:
-        """Move files that no earlier run wrote from the folder `old` into the new one."""
-        for path in (old / below).iterdir():
-            name = f"{below}{path.name}"
-            there = self._target / name
-            mixed = there.is_dir() or any(own.startswith(f"{name}/") for own in self._own)
-            if path.is_dir() and not path.is_symlink() and mixed:
-                there.mkdir(exist_ok=True)
-                self._move_foreign(old, f"{name}/")
-                with contextlib.suppress(OSError):
-                    there.rmdir()  # nothing was foreign
-            elif name not in self._own and not os.path.lexists(there):
-                os.rename(path, there)
+        def move(source: Path, place: Path) -> None:
+            place.parent.mkdir(parents=True, exist_ok=True)
+            os.rename(source, place)
+            moved.append((source, place))
+
+        try:
+            for name in (FILE_NAME, *sorted(self._own - {FILE_NAME})):  # without it, it is no sequence
+                if os.path.lexists(self._target / name):
+                    move(self._target / name, earlier / name)
+            for name in names:
+                move(self.staging / name, self._target / name)
+        except OSError:
+            for source, place in reversed(moved):
+                os.rename(place, source)
+            raise
+        for name in self._own:
+            with contextlib.suppress(OSError):
+                (self._target / name).parent.rmdir()  # if nothing is left in it
+        shutil.rmtree(self.staging, ignore_errors=True)
 
     # ---- files -----------------------------------------------------------------------------------------
 

@@ -272,7 +272,7 @@ def test_bad_pixels_of_every_type(dtype):
             for k, value in enumerate(bad):
                 color[1 + k, 2, k % 3] = value
                 expected[1 + k, 2, k % 3] = np.clip(np.nan_to_num(value), -most, most)
-            frame = RenderedFrame(color, np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32), None, 0.0)
+            frame = RenderedFrame(color, np.ones((5, 7), np.float32), np.zeros((5, 7, 2), np.float32), camera(), 0.0)
             host = host_arrays(frame, 5, 7)
             laid = host.in_device_layout().color
             clamped = sum(map(np.isfinite, bad))

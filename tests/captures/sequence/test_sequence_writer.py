@@ -218,19 +218,28 @@ def test_replaces_a_killed_output(tmp_path):
     assert names(tmp_path) == ["out", "out/frame_1.exr", "out/sequence.json"]
 
 
-def test_an_earlier_output_stays_where_the_new_one_cannot_take_its_place(tmp_path, monkeypatch):
+@pytest.mark.parametrize("fails_at", [0, 3, 8, 10])
+def test_an_earlier_output_stays_where_the_new_one_cannot_take_its_place(tmp_path, monkeypatch, fails_at):
     out = write(tmp_path / "out", 3)
-    before, real = contents(out), os.rename
+    before, real, calls = contents(out), os.rename, []
 
     def broken(source, target):
-        if str(source).endswith(".part"):
+        calls.append(source)
+        if len(calls) == fails_at + 1:
             raise OSError(errno.EIO, "power cut")
         real(source, target)
 
     monkeypatch.setattr(os, "rename", broken)
     with pytest.raises(GffeError, match="power cut"):
-        write(out, 1)
+        write(out, 2)
     assert contents(out) == before and [path.name for path in tmp_path.iterdir()] == ["out"]
+
+
+def test_the_current_folder_can_be_written_to(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write(Path("."), 2)
+    write(Path("."), 1)
+    assert os.getcwd() == str(tmp_path) and names(Path(".")) == ["frame_0.exr", "sequence.json", "truth_0.exr"]
 
 
 def test_files_of_others_stay(tmp_path):
