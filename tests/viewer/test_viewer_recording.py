@@ -9,14 +9,13 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from engine_buffers import stored
-from test_viewer_engine import ALL, FPS, H, W, ask, assert_same, frames, plain_run, running, slots
+from viewer_clips import ALL, FPS, H, W, ask, assert_same, frames, plain_run, running, slots
 from viewer_session import wait_for
 
 import gffe_cl as gffe
 from gffe_cl.captures.offline import recording as module
 from gffe_cl.viewer.engine.messages import Setup
-from gffe_cl.viewer.engine.sources.file_watch import Growth
-from gffe_cl.viewer.engine.sources.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources.recorded import Growth, RecordedSource
 
 FORMAT = gffe.FrameFormat(
     color_type="unorm8", color_encoding="srgb", depth="device", near_z=0.1, far_z=100.0, depth_range=(1, 0),
@@ -149,8 +148,8 @@ def test_the_viewer_follows(device, tmp_path):
         for k in range(3, 6):
             pipeline.submit(given[k])
         wait_for(lambda: recording.written == 5)
-        wait_for(source.grow)
-        assert source.count == 5 and source.rendered(4).color.tobytes() == given[4].color.tobytes()
+        wait_for(lambda: [source.grow(), source.count][1] == 5)
+        assert source.rendered(4).color.tobytes() == given[4].color.tobytes()
 
 
 def test_what_cannot_be_written_ends_it_with_one_warning(device, tmp_path, monkeypatch):

@@ -17,10 +17,10 @@ from gffe_cl.captures.doctor.findings import Finding
 from gffe_cl.captures.doctor.readings import VIEW_AXES, Cameras
 from gffe_cl.captures.sequence import FrameEntry, Sequence
 from gffe_cl.captures.sequence.description import Description
-from gffe_cl.captures.sequence.engine_form import described_frame
+from gffe_cl.captures.sequence.engine_form import color_of, described_frame
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_choice, require_kind, require_positive, require_whole
-from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color
+from gffe_cl.engine.frame.frame_format import NO_JITTER, FrameFormat, jitter_in_color
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 _BUFFERS = ("color", "depth", "motion", "camera")
@@ -110,7 +110,8 @@ def with_format(sequence: Sequence, found: FoundFormat) -> Sequence:
         other = sources[entry.file]["camera"]
         read = {"render_camera": other.render_camera, "display_camera": other.display_camera}
         read = {name: camera and found.cameras.read(camera) for name, camera in read.items()}
-        rendered.append(replace(entry, reset=entry.reset or was_left_out or k == 0, **read))
+        converted = {"geometry_size": None, "geometry_jitter": NO_JITTER}  # as `_FoundPixels.read` returns them
+        rendered.append(replace(entry, reset=entry.reset or was_left_out or k == 0, **converted, **read))
         was_left_out = False
     if given and not rendered:
         raise GffeError(f"{sequence.path}: no rendered frame is left with these frame offsets")
@@ -151,22 +152,18 @@ class _FoundPixels:
         return made.color, made.depth, made.motion, made.overlays
 
     def _converted(self, frame: RenderedFrame, format: FrameFormat, before: FrameEntry | None) -> RenderedFrame:
-        jitter = (0.0, 0.0)
+        jitter = NO_JITTER
         if before is not None:
             height, width = np.shape(frame.color)[:2]
             rows, columns = np.shape(frame.depth)
-            jitter = jitter_in_color(before.geometry_jitter, (width, height), (columns, rows))
+            stored = self._sources[before.file]["depth"].geometry_jitter
+            jitter = jitter_in_color(stored, (width, height), (columns, rows))
         return described_frame(frame, format, before and before.render_camera, jitter)
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
         if entry.file in self._sources:
             return self.read(entry, size)[0]
-        color = self._sequence.read_color(entry)
-        none: Any = None  # no camera is needed for colors
-        plain = RenderedFrame(color, np.ones(color.shape[:2], np.float32), None, none, entry.time)
-        found = self._found.frame_format
-        format = FrameFormat(rows=found.rows, color_encoding=found.color_encoding)
-        return self._converted(plain, format, None).color
+        return color_of(self._sequence.read_color(entry), self._found.frame_format)
 
     def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
         return self._sequence.read_channels(entry, names)

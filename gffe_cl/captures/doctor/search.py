@@ -92,14 +92,18 @@ class Search:
         self.bench = lru_cache(None)(self._bench)
 
     def _bench(self, rows: str = "down", offset: tuple[str, int] = ("", 0), thin: bool = False) -> Bench:
+        chosen = self._chosen(rows, offset)
+        return Bench(chosen, max(1, len(chosen[0].px) // _PER_FRAME) if thin and chosen else 1)
+
+    def _chosen(self, rows: str, offset: tuple[str, int]) -> list[Look]:
+        """Return the looks that can be compared; none where a clip is too short for buffers of other frames."""
         looks, deep = self.looks, self.deep
         if offset[1]:
             looks = of_other_frames(looks, *offset)
             deep = [k + (offset[1] == PREVIOUS) for k in deep]
         if rows == "up":
             looks = turned(looks)
-        chosen = [looks[k] for k in deep if k in looks and (PREVIOUS in looks[k].neighbors or not offset[1])]
-        return Bench(chosen, max(1, len(chosen[0].px) // _PER_FRAME) if thin and chosen else 1)
+        return [looks[k] for k in deep if k in looks and (PREVIOUS in looks[k].neighbors or not offset[1])]
 
     def shown(self, rows: str, frames: list[int]) -> list[Look]:
         """Return the looks of `frames`, with their images as `rows` are read."""
@@ -292,9 +296,9 @@ class Search:
         found = []
         for buffer in ("camera", "depth", "motion"):
             for by in (NEXT, PREVIOUS):
-                bench = self.bench(offset=(buffer, by))
-                if not bench.looks:
+                if not self._chosen("down", (buffer, by)):
                     continue
+                bench = self.bench(offset=(buffer, by))
                 plain = Reading(offset=(buffer, by))
                 made = [replace(plain, motion=one) for one in motions() if replace(plain, motion=one).changes <= 2]
                 scores = []

@@ -469,8 +469,10 @@ def corrected(options, tmp_path):
 
 
 def submit(engine, frame, **changes):
-    frame = replace(frame, **changes)
-    engine.submit((frame.color, frame.depth, frame.motion), frame.camera, frame.time, frame.display_camera, frame.reset)
+    """Submit a frame with other fields, which a RenderedFrame would not take."""
+    names = ("color", "depth", "motion", "camera", "time", "display_camera", "reset")
+    color, depth, motion, *others = ({name: getattr(frame, name) for name in names} | changes).values()
+    engine.submit((color, depth, motion), *others)
 
 
 # ---- faults ------------------------------------------------------------------------------------------------

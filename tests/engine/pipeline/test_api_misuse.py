@@ -49,7 +49,7 @@ WRONG = (
     1e308, np.longdouble(2), "x" * 5000, "a b " * 25000, Path("x" * 5000), "a\ud800", np.broadcast_to(np.float16(1),
     HUGE), np.broadcast_to(np.float32(1), (*HUGE, 2)), np.broadcast_to(np.uint8(1), (*HUGE, 3)),
 )  # fmt: skip
-# What needs a device, or a fake driver (tests/engine/opencl/test_sharing.py); plain records, checked where
+# What needs a device, or a fake driver (tests/engine/opencl/test_memory_sharing.py); plain records, checked where
 # they are used; what is made by others only.
 ON_A_DEVICE = {
     "Pipeline", "Pipeline.submit", "Pipeline.present", "Pipeline.predict_camera", "Pipeline.extrapolate",

@@ -8,6 +8,7 @@ import twins
 from device_arrays import copy_to, of_arrays
 from synthetic import Rect, Rects, camera, psnr
 from twin_cases import assert_close
+from twins.common import centers
 
 from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
 from gffe_cl.engine.frame.rendered_frame import require_one_pose
@@ -184,7 +185,7 @@ def test_static_stays_static_through_windows(device):
             continue
         dynamic = pipeline.stages["history"].read("dynamic_mask") > 0
         through = WINDOWS[k % len(WINDOWS)].camera(turning(k), (W, H))
-        which, _, _ = MOVING._hit(through, k / 30, twins.centers(H, W).astype(np.float64))
+        which, _, _ = MOVING._hit(through, k / 30, centers(H, W).astype(np.float64))
         assert (dynamic == (which == 1)).mean() > 0.99
         assert (pipeline.stages["background"].read("state_0") == REMEMBERED).mean() < 0.15
         motion = made.numpy("motion")
