@@ -304,7 +304,7 @@ def test_check(made, name, tmp_path):
     fixed = open_sequence(back)
     assert fixed.format is None
     for frame, mine in zip(given, fixed, strict=True):
-        assert_same(frame, mine)
+        assert_same(replace(frame, geometry_size=None), mine)  # of color's size
         assert frame.camera == mine.camera
 
 

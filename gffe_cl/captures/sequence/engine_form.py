@@ -41,7 +41,7 @@ def described_frame(
             static = _camera_motion(made.depth.astype(np.float64), frame.camera, previous, given["from_geometry"])
         made = replace(made, motion=undilated(made.motion, made.depth, static))
     if geometry == size:
-        return replace(made, geometry_size=None)
+        return made
     motion = np.zeros((rows, columns, 2), np.float32) if made.motion is None else made.motion
     depth, motion = spread_geometry(made.color, made.depth, motion, given)
     jitter = (0.0, 0.0)
