@@ -212,7 +212,9 @@ def assert_same(one, other):
     assert one.geometry_jitter == other.geometry_jitter and one.geometry_size == other.geometry_size
 
 
-INEXACT = {"unorm8", "noisy-camera", "engine"}
+INEXACT = {"noisy-camera", "engine"}
+# Inputs whose vectors do not depend on the cameras before they are compared with them.
+CAMERAS_FOUND = {"exact", "game", "frame.geometry_size", "frame.geometry_jitter", "motion_jittered=True"}
 FEW = ("exact", "game", "streamline", "frame.geometry_size")  # the others take minutes
 every_input = pytest.mark.parametrize("name", INPUTS)
 some_inputs = pytest.mark.parametrize("name", few(INPUTS, *FEW))
@@ -289,6 +291,8 @@ def test_check(made, name, tmp_path):
     format that says so undoes them."""
     given, turned, back = open_sequence(made.sequence(name)), tmp_path / "turned", tmp_path / "back"
     assert call("check", given.path) == (name in INEXACT)
+    if name not in CAMERAS_FOUND:
+        return
     shutil.copytree(given.path, turned)
     document = json.loads((turned / "sequence.json").read_text())
     for frame in document["frames"]:
@@ -296,8 +300,6 @@ def test_check(made, name, tmp_path):
             if camera:
                 camera["world_to_view"] = (np.diag([1, -1, -1, 1]) @ camera["world_to_view"]).tolist()
     (turned / "sequence.json").write_text(json.dumps(document))
-    if given.format and given.format.camera_motion != "included":
-        return  # no vector tells anything about the cameras
     found = tmp_path / "found.json"
     assert call("check", turned, "--format-out", found) == 1
     assert call("import", turned, back, "--format", found) == 0

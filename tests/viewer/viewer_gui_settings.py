@@ -80,7 +80,7 @@ def finding_frames(gui: Gui):
     gui.key(KEY.j)
     gui.settle()
     values["worst"] = [model.slot, min(curve, key=curve.get)]
-    model.comparison.set("difference")
+    model.comparison.set("error")
     gui.key(KEY.w, ALT)
     gui.settle()
     values["worst pixel"] = [model.pointing.picked is not None, model.messages[-1].text]

@@ -110,7 +110,9 @@ def with_format(sequence: Sequence, found: FoundFormat) -> Sequence:
         other = sources[entry.file]["camera"]
         read = {"render_camera": other.render_camera, "display_camera": other.display_camera}
         read = {name: camera and found.cameras.read(camera) for name, camera in read.items()}
-        converted = {"geometry_size": None, "geometry_jitter": NO_JITTER}  # as `_FoundPixels.read` returns them
+        converted: dict[str, Any] = {"geometry_size": None}  # as `_FoundPixels.read` returns them
+        if sequence.geometry_of(entry) != sequence.size_of(entry):
+            converted["geometry_jitter"] = NO_JITTER
         rendered.append(replace(entry, reset=entry.reset or was_left_out or k == 0, **converted, **read))
         was_left_out = False
     if given and not rendered:

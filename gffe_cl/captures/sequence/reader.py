@@ -89,7 +89,7 @@ class Sequence:
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
         for entry in self.rendered:
             try:
-                self._geometry_of(entry)
+                self.geometry_of(entry)
             except GffeError as error:
                 raise GffeError(f"{path}: frame_{error}") from None
 
@@ -155,7 +155,7 @@ class Sequence:
         """Return (width, height) of the images of `entry`, in pixels."""
         return _entry(entry).render_size or (self.width, self.height)
 
-    def _geometry_of(self, entry: FrameEntry) -> tuple[int, int]:
+    def geometry_of(self, entry: FrameEntry) -> tuple[int, int]:
         """Return width and height of depth and motion of a rendered frame, pixels."""
         return require_render_size(self.format, self.size_of(entry), entry.geometry_size)
 
@@ -188,11 +188,11 @@ class Sequence:
         the file has been damaged since opening."""
         frame, previous = self.read_stored(entry), self._previous.get(entry.file)
         before = None if entry.reset or previous is None else previous
-        size, geometry = self.size_of(entry), self._geometry_of(entry)
+        size, geometry = self.size_of(entry), self.geometry_of(entry)
         if self.format or geometry != size:
             jitter = (0.0, 0.0)
             if before:
-                jitter = jitter_in_color(before.geometry_jitter, size, self._geometry_of(before))
+                jitter = jitter_in_color(before.geometry_jitter, size, self.geometry_of(before))
             frame = described_frame(frame, self.format or FrameFormat(), before and before.render_camera, jitter)
         if before and frame.camera and before.render_camera:
             text = zero_motion_warning(frame.motion, frame.depth, frame.camera, before.render_camera)
@@ -207,7 +207,7 @@ class Sequence:
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
-        width, height = self._geometry_of(entry)
+        width, height = self.geometry_of(entry)
         depth, motion = (a if a is None or (width, height) == size else a[:height, :width] for a in (depth, motion))
         camera: Any = entry.render_camera  # None if `open_sequence` was called for a sequence without cameras
         shown_as_rendered = size == (self.width, self.height) and entry.display_camera == camera
