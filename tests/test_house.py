@@ -107,15 +107,15 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 47_700,
-    "viewer": 15_500,
-    "kernels": 10_200,
-    "tests": 39_700,
-    "docs/tools": 5_900,
-    "docs/examples": 1_900,
-    "docs/*.md": 5_900,
+    "gffe_cl": 39_287,
+    "viewer": 12_679,
+    "kernels": 10_189,
+    "tests": 32_869,
+    "docs/tools": 3_629,
+    "docs/examples": 1_822,
+    "docs/*.md": 4_444,
 }
-MOST_MODULES = 397
+MOST_MODULES = 241
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
 
 

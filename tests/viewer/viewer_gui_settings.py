@@ -81,6 +81,7 @@ def finding_frames(gui: Gui):
     gui.settle()
     values["worst"] = [model.slot, min(curve, key=curve.get)]
     model.comparison.set("error")
+    gui.settle()
     gui.key(KEY.w, ALT)
     gui.settle()
     values["worst pixel"] = [model.pointing.picked is not None, model.messages[-1].text]
