@@ -49,7 +49,7 @@ MOVER = 2
 
 
 def pose(at):
-    """Display camera `at` rendered frames from the start."""
+    """Return the display camera `at` rendered frames from the start."""
     return camera(W, H, (0.1 * at, 0.01 * at, 0.02 * at), yaw=0.015 * at)
 
 
@@ -109,7 +109,7 @@ class SceneClip(Clip):
 
 
 class FadingClip(Clip):
-    """The same under a light that fades: there is something to correct."""
+    """Frames under a light that fades, so that there is something to correct."""
 
     def rendered(self, k):
         frame = super().rendered(k)
@@ -134,7 +134,7 @@ def want(engine, slot, setup, layers=(), **more):
 
 
 def ask(engine, slot, setup, layers=()):
-    """What the engine makes of a slot, anew: a Frame or a Failure; `layers` "all" for every one."""
+    """Return a slot as the engine makes it anew: a Frame or a Failure; `layers`: "all" for every one."""
     if layers == "all":
         layers = ask(engine, slot, setup).specs
     wanted = want(engine, slot, setup, layers)
@@ -144,19 +144,19 @@ def ask(engine, slot, setup, layers=()):
 
 
 def inspect(engine, x, y, slot, setup):
-    """The values at a pixel of a slot."""
+    """Return the values at a pixel of a slot."""
     wanted = want(engine, slot, setup, pixel=(int(x), int(y)))
     engine.store.want([wanted])
     return wait_for(lambda: engine.store.get(wanted))
 
 
 def slots(setup, *pairs):
-    """Numbers of the slots (k, j)."""
+    """Return the numbers of the slots (k, j)."""
     return [k * (setup.n + 1) + j for k, j in pairs]
 
 
 def plain_run(device, source_frames, setup, wanted, camera_at=pose, size=(W, H), exposure=1.0, begin=None, **given):
-    """(slot → layers) of a pipeline that plays all frames in order; `wanted` slots (k, j). `begin` gets it."""
+    """Return {slot → layers} of a pipeline that plays all frames in order. `wanted`: slots (k, j); `begin` gets it."""
     pipeline = Pipeline(device, *size, setup.options, fps=FPS, **given)
     if begin:
         begin(pipeline)
