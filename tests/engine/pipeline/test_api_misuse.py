@@ -276,6 +276,7 @@ def file_calls(folder):
         "Sequence.near_miss": Call(sequence.near_miss, moment),
         "Sequence.rendered_before": Call(sequence.rendered_before, {"time": 0.0}),
         "Sequence.size_of": Call(sequence.size_of, {"entry": own}),
+        "Sequence.geometry_of": Call(sequence.geometry_of, {"entry": own}),
         "Sequence.read": Call(sequence.read, {"entry": own}),
         "Sequence.read_stored": Call(sequence.read_stored, {"entry": own}),
         "Sequence.read_channels": Call(sequence.read_channels, {"entry": own, "names": ["R"]}),
