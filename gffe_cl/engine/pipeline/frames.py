@@ -5,17 +5,16 @@ from __future__ import annotations
 import warnings
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import as_float32, require_array, require_kind, require_number, shown
+from gffe_cl.engine.core.validation import require_kind, require_number
 from gffe_cl.engine.frame.camera import FAR_ALPHA, MOST_ALPHA, Camera, interval_of
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
 from gffe_cl.engine.frame.rendered_frame import is_shown_whole
 from gffe_cl.engine.options import MAX_ORDER
 from gffe_cl.engine.stages.base import Board, Rest, Step
-from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.buffers import DeviceFrame
 from gffe_cl.engine.stages.frame_block import MOST_NUMBER, MOST_RESTS, see_alike
 from gffe_cl.engine.stages.presentation import Presentation
 
@@ -67,20 +66,15 @@ class RenderedFrames:
         del self.times[1:], self.path[1:]
         self.previous, self.rests = None, 0
 
-    def step(self, camera: Camera | None = None, time: float = 0.0, alpha: float = 0.0, **given: Any) -> Step:
-        """Return the step of the current frame or, with a `camera`, of a new one; `given`: what replaces parts of it.
-        Points at rest stay where they are for a camera that sees alike, unless predicted positions are the caller's:
-        then not all colors are encoded."""
+    def step(self, camera: Camera | None = None, time: float = 0.0, alpha: float = 0.0) -> Step:
+        """Return the step of the current frame or, with a `camera`, of a new one. Points at rest stay where they are
+        for a camera that sees alike: then not all colors are encoded."""
         stays = (
-            self._copies
-            and camera is not None
-            and self.previous is not None
-            and given.get("target_position") is None
-            and see_alike(self.needed.camera, camera)
+            self._copies and camera is not None and self.previous is not None and see_alike(self.needed.camera, camera)
         )
         rest = Rest(self.number, self.rests, stays, self.coded)
         times = self.times[: MAX_ORDER + 1]
-        return Step(self.needed, self.previous, times, camera, time, alpha, self.exposure, rest=rest, **given)
+        return Step(self.needed, self.previous, times, camera, time, alpha, self.exposure, rest=rest)
 
     def note_made(self, step: Step) -> None:
         """Note that a new frame was made: unless points at rest stay, all colors are encoded now."""
@@ -98,23 +92,13 @@ class RenderedFrames:
         return predict_camera_at(time, self.path, self.times, self._options.camera_order)
 
 
-def checked_moment(
-    camera: Camera | None,
-    time: Any,
-    target_position: Any,
-    seen_through: Any,
-    frames: RenderedFrames,
-    sizes: Sizes,
-) -> Step:
+def checked_moment(camera: Camera | None, time: Any, frames: RenderedFrames) -> Step:
     """Return the step that makes a new frame from the arguments of `extrapolate`. Raises GffeError for invalid ones."""
     time, alpha = _checked_time(time, frames.needed.time, frames.interval)
     if camera is None:
         camera = frames.predicted_camera(alpha)
     require_kind(camera, Camera, "extrapolate: camera", "a Camera or None")
-    if target_position is None and seen_through is None:  # mostly
-        return frames.step(camera, time, alpha)
-    positions, geometry = _checked_positions(target_position, sizes), _checked_geometry(seen_through, sizes)
-    return frames.step(camera, time, alpha, target_position=positions, geometry=geometry)
+    return frames.step(camera, time, alpha)
 
 
 def _checked_time(time: Any, after: float, interval: float) -> tuple[float, float]:
@@ -133,27 +117,6 @@ def _checked_time(time: Any, after: float, interval: float) -> tuple[float, floa
             stacklevel=5,
         )
     return time, alpha
-
-
-def _checked_positions(target_position: Any, sizes: Sizes) -> np.ndarray | None:
-    """Return positions that replace position prediction. Raises GffeError for another shape than (H, W, 4)."""
-    if target_position is None:
-        return None
-    return as_float32(require_array(target_position, "extrapolate: target_position", *reversed(sizes.source), 4))
-
-
-def _checked_geometry(seen_through: Any, sizes: Sizes) -> dict[str, np.ndarray]:
-    """Return depth and motion that replace the new frame's, by name. Raises GffeError for other shapes than theirs."""
-    if seen_through is None:
-        return {}
-    if not isinstance(seen_through, tuple | list) or len(seen_through) != 2:
-        raise GffeError(f"extrapolate: seen_through must be (depth, motion), got {shown(seen_through)}")
-    size, what = tuple(reversed(sizes.target)), "extrapolate: seen_through, "
-    depth, motion = (
-        require_array(seen_through[0], f"{what}depth", *size),
-        require_array(seen_through[1], f"{what}motion", *size, 2),
-    )
-    return {"depth": as_float32(depth), "motion": as_float32(motion)}
 
 
 class Display:

@@ -7,7 +7,6 @@ from contextlib import suppress
 from functools import partial
 from typing import Any
 
-import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.core.errors import GffeError
@@ -336,19 +335,12 @@ class Pipeline:
         time: float | None = None,
         *,
         wait_for: Iterable[cl.Event | int] = (),
-        target_position: np.ndarray | None = None,
-        seen_through: tuple[np.ndarray, np.ndarray] | None = None,
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default: the predicted
         camera), and return it. The call returns at once, unless the shading correction network works on the device's
         own processor: then it waits for the network. Otherwise the frame's `color` and `event` wait, and the next
         `submit` works meanwhile. Reading a buffer waits. With the time of the rendered frame itself and a newer camera
         it is a late warp (α = 0). It overwrites the last frame made: `wait_for` its readers on other queues.
-
-        `target_position` (H, W, 4) float32 replaces position prediction, for experiments: x, y in target pixels, view
-        depth there (−1: nothing), 0, for every pixel of the rendered frame. `seen_through` replaces depth (H, W) and
-        motion (H, W, 2) float32 of the new frame, as in `ExtrapolatedFrame`, before upscaling reads them, also for
-        experiments.
 
         Warns if the time is more than 16 intervals after the last rendered frame's: mostly it is of another clock or
         unit.
@@ -359,7 +351,7 @@ class Pipeline:
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
         frames = self.frames
         self._decide_cut()
-        step = checked_moment(camera, time, target_position, seen_through, frames, self.sizes)
+        step = checked_moment(camera, time, frames)
         self._finish()
         wait_for_all(self.device.queue, events)
         correction, stages = self._correction, list(self.stages.values())

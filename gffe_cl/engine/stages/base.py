@@ -82,10 +82,6 @@ class Step:
         Times of the rendered frames since the last reset, newest first, seconds.
     camera, time, alpha, exposure
         Of the new frame: its camera, seconds, α, and the factor on color before display.
-    target_position : (H, W, 4) float32 or None
-        Replaces the result of position prediction.
-    geometry : mapping of name to array
-        Depth and motion that replace the new frame's before upscaling reads them; empty: its own.
     rest : Rest
         What is known of the camera at rest.
     given : mapping of name to numbers
@@ -100,8 +96,6 @@ class Step:
     time: float = 0.0
     alpha: float = 0.0
     exposure: float = 1.0
-    target_position: np.ndarray | None = None
-    geometry: Mapping[str, np.ndarray] = field(default_factory=dict)
     rest: Rest = field(default_factory=Rest)
     given: Mapping[str, Any] = field(default_factory=dict)
 

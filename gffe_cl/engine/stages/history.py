@@ -3,7 +3,7 @@ of movers, and the prediction of positions (paper: 'Position estimation')."""
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Iterable
+from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
@@ -295,9 +295,6 @@ class Acceleration(Stage):
         self.launch("track_acceleration", step)
 
 
-NOWHERE = constants("prediction.cl")["NOWHERE"]  # px
-
-
 class PositionPrediction(NearestStage):
     """Predicts where every fragment will be at t + α, projected with the target camera: by the polynomial of degree m
     through m + 1 positions. m = 1 is the paper's choice, to which the acceleration of movers may be added. Prepares
@@ -343,21 +340,8 @@ class PositionPrediction(NearestStage):
 
     def __init__(self, board: Board):
         board.facts["bends"] = Acceleration.name in board.stages
-        board.facts["dilates"] = self.dilates = not board.options.warps_footprints
+        board.facts["dilates"] = not board.options.warps_footprints
         super().__init__(board)
 
-    def variant(self, step: Step) -> Hashable | None:
-        return True if step.target_position is None else None
-
     def extrapolated(self, step: Step) -> None:
-        if step.target_position is not None:
-            self._replace(step.target_position)
-            if self.dilates:
-                self.board.stages["dilated_warp"].clear_keys("", "target")
-            return
         self.launch("predict_positions", step)
-
-    def _replace(self, target_position: np.ndarray) -> None:
-        values = np.array(target_position[..., :3], np.float32)
-        values[~(values[..., 2] > 0)] = (NOWHERE, NOWHERE, -1)
-        self.upload("target_position", values)

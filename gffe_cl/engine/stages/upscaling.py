@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Hashable, Mapping
+from collections.abc import Mapping
 from dataclasses import replace
 from typing import ClassVar
 
@@ -125,15 +125,10 @@ class Upscaling(Stage):
     def is_wanted(cls, options: Options) -> bool:
         return options.upscale > 0
 
-    def variant(self, step: Step) -> Hashable | None:
-        return None if step.geometry else True
-
     def rendered(self, step: Step) -> None:
         """Add the rendered frame to the history."""
         for kernel in ("compare", "survey", "accumulate"):
             self.launch(kernel, step)
 
     def extrapolated(self, step: Step) -> None:
-        for name, values in step.geometry.items():
-            self.board.frame.upload(name, values)
         self.launch("generate", step, corrected=self.corrected)

@@ -316,7 +316,6 @@ def device_calls(pipeline, frame):
     submitted = {"color": frame.color, "depth": frame.depth, "motion": frame.motion, "camera": frame.camera}
     submitted |= {"time": 0.5, "display_camera": None, "reset": True, "overlays": None, "geometry_jitter": (0.1, 0.2)}
     made = pipeline.extrapolate()
-    geometry = (made.numpy("depth"), made.numpy("motion"))
     through = {
         "frame": replace(frame, display_camera=camera(W, H)),
         "previous": frame,
@@ -351,13 +350,8 @@ def device_calls(pipeline, frame):
         "Pipeline.extrapolate": Call(
             pipeline.extrapolate,
             {
-                **{"camera": CAMERA, "time": 2.0, "target_position": np.zeros((H, W, 4), np.float32)},
-                **{"seen_through": geometry, "wait_for": [cl.enqueue_marker(device.queue)]},
+                **{"camera": CAMERA, "time": 2.0, "wait_for": [cl.enqueue_marker(device.queue)]},
             },
-        ),
-        "Pipeline.extrapolate, seen_through": Call(
-            lambda depth, motion: pipeline.extrapolate(seen_through=(depth, motion)),
-            {"depth": geometry[0], "motion": geometry[1]},
         ),
         "Pipeline.keep": Call(pipeline.keep, {"names": ["warp.color"]}),
         "Pipeline.change_options": Call(other.change_options, {"options": other.options}),
