@@ -20,7 +20,7 @@ from gffe_cl.captures.sequence.description import Description
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_choice, require_kind, require_positive, require_whole
-from gffe_cl.engine.frame.frame_format import NO_JITTER, FrameFormat, jitter_in_color
+from gffe_cl.engine.frame.frame_format import NO_JITTER, FrameFormat, jitter_in_color, require_render_size
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 _BUFFERS = ("color", "depth", "motion", "camera")
@@ -111,7 +111,8 @@ def with_format(sequence: Sequence, found: FoundFormat) -> Sequence:
         read = {"render_camera": other.render_camera, "display_camera": other.display_camera}
         read = {name: camera and found.cameras.read(camera) for name, camera in read.items()}
         converted: dict[str, Any] = {"geometry_size": None}  # as `_FoundPixels.read` returns them
-        if sequence.geometry_of(entry) != sequence.size_of(entry):
+        size = sequence.size_of(entry)
+        if require_render_size(sequence.format, size, entry.geometry_size) != size:
             converted["geometry_jitter"] = NO_JITTER
         rendered.append(replace(entry, reset=entry.reset or was_left_out or k == 0, **converted, **read))
         was_left_out = False
@@ -141,7 +142,6 @@ class _FoundPixels:
         self._sequence, self._found, self._sources = sequence, found, sources
         self._before = dict(zip([one.file for one in rendered[1:]], rendered, strict=False))
         self.notes: list[str] = []
-        self.settings = None
 
     def read(self, entry: FrameEntry, size: tuple[int, int]):
         source = self._sources[entry.file]

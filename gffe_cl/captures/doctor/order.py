@@ -51,6 +51,8 @@ def color_of_another_frame(search: Search, read: Verdict) -> list[Finding]:
     """Return a fault if colors fit well, and clearly better in most frames, as those of the frame before or after."""
     found, reading = {}, read.reading
     for by in (NEXT, PREVIOUS):
+        if not search.chosen(reading.rows, ("color", by)):
+            continue
         other = search.bench(reading.rows, ("color", by))
         given = Bench([look for look in search.shown(reading.rows, [one.index for one in other.looks])])
         after, before = _colors(other, reading), _colors(given, reading)

@@ -92,10 +92,10 @@ class Search:
         self.bench = lru_cache(None)(self._bench)
 
     def _bench(self, rows: str = "down", offset: tuple[str, int] = ("", 0), thin: bool = False) -> Bench:
-        chosen = self._chosen(rows, offset)
+        chosen = self.chosen(rows, offset)
         return Bench(chosen, max(1, len(chosen[0].px) // _PER_FRAME) if thin and chosen else 1)
 
-    def _chosen(self, rows: str, offset: tuple[str, int]) -> list[Look]:
+    def chosen(self, rows: str, offset: tuple[str, int]) -> list[Look]:
         """Return the looks that can be compared; none where a clip is too short for buffers of other frames."""
         looks, deep = self.looks, self.deep
         if offset[1]:
@@ -296,7 +296,7 @@ class Search:
         found = []
         for buffer in ("camera", "depth", "motion"):
             for by in (NEXT, PREVIOUS):
-                if not self._chosen("down", (buffer, by)):
+                if not self.chosen("down", (buffer, by)):
                     continue
                 bench = self.bench(offset=(buffer, by))
                 plain = Reading(offset=(buffer, by))

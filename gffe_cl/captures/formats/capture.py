@@ -17,7 +17,7 @@ import numpy as np
 
 from gffe_cl.captures.sequence.description import Description, FrameEntry, check_times, read_text
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.core.validation import require_bool, require_choice, require_number, require_positive, shown
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.conventions import rigid, square
@@ -108,17 +108,15 @@ def camera_of(document: dict, matrix: str, size: tuple[int, int], label: str) ->
     `label`."""
     if document.get(matrix) is None or document.get("fx") is None:
         raise GffeError(f"{label}: no {matrix if document.get(matrix) is None else 'fx'} (expected a camera)")
-    try:
+    with within(label):
         view = square(document[matrix], matrix)
         if np.abs(view[3] - (0, 0, 0, 1)).max() > 1e-6:
-            raise GffeError(f"the last row of {matrix} must be 0 0 0 1 (column vectors)")
-        fx = require_positive(document["fx"], "fx")
-        fy = require_positive(document.get("fy", fx), "fy")
-        cx = require_number(document.get("cx", size[0] / 2), "cx")
-        cy = require_number(document.get("cy", size[1] / 2), "cy")
+            raise GffeError(f"camera: the last row of {matrix} must be 0 0 0 1 (column vectors)")
+        fx = require_positive(document["fx"], "camera: fx")
+        fy = require_positive(document.get("fy", fx), "camera: fy")
+        cx = require_number(document.get("cx", size[0] / 2), "camera: cx")
+        cy = require_number(document.get("cy", size[1] / 2), "camera: cy")
         return Camera(rigid(view, matrix), fx, fy, cx, cy)
-    except GffeError as error:
-        raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
 
 
 def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], label: str) -> None:

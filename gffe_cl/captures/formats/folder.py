@@ -131,7 +131,7 @@ class _Frame:
 
     number: int
     entry: FrameEntry
-    camera: FoundCamera | None
+    camera: FoundCamera
     before: _Frame | None = None  # the rendered one before it, unless it is a reset
     numbers: dict[str, int] | None = None
 
@@ -151,7 +151,6 @@ class _Capture:
         """Return the format of a frame, with the planes of its own projection."""
         if not self.depth_planes:
             return self.format
-        assert frame.camera is not None  # `_require_camera`
         near, far = frame.camera.planes(self.rules)
         return replace(self.format, near_z=near, far_z=far, depth_range=(0.0, 1.0))
 
@@ -165,14 +164,14 @@ def is_folder(path: Path) -> bool:
     return bool(found) and found[1] == FORMAT.encode()
 
 
-def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
-    """Open the capture in `folder` and return it: the JSON and the headers of all images are checked. With `cameras`
-    "optional" none need be described. Raises GffeError."""
+def open_folder(folder: Path) -> Sequence:
+    """Open the capture in `folder` and return it: the JSON and the headers of all images are checked. Raises
+    GffeError."""
     document, notes = read_json(folder / FILE_NAME), []
     if document.get("version", 1) == 1:
         document = folder_version_1.translated(document)
         notes.append(f"{folder}: version 1 of the description (docs/formats.md has the present one)")
-    made, description, gaps = _parse(folder, document, cameras == "needed")
+    made, description, gaps = _parse(folder, document)
     pixels = FolderPixels(folder, made)
     for frame in made.frames.values():
         is_truth = frame.entry.kind == "ground_truth"
@@ -183,7 +182,7 @@ def open_folder(folder: Path, *, cameras: str = "needed") -> Sequence:
     if not pixels.converts and formats != {FrameFormat()}:
         description.format = next(iter(formats), None)
     pixels.notes += notes + ([f"{folder}: {gaps}"] if gaps else [])
-    ranges = (one.camera.range_note(made.rules) for one in made.frames.values() if one.camera and made.depth_planes)
+    ranges = (one.camera.range_note(made.rules) for one in made.frames.values() if made.depth_planes)
     pixels.notes += [note for note in ranges if note][:1]
     return Sequence(folder, description, pixels)
 
@@ -245,7 +244,7 @@ class FolderPixels(ForeignPixels):
             made = self._in_our_form(frame, vectors)
             return made.color, made.depth, made.motion
         before = self._in_our_form(frame.before, vectors)
-        assert before.motion is not None and before.camera and made.camera  # `_require_camera`
+        assert before.motion is not None  # as its vectors are given
         return (
             made.color,
             made.depth,
@@ -254,12 +253,11 @@ class FolderPixels(ForeignPixels):
 
     def _in_our_form(self, frame: _Frame, motion: np.ndarray | None) -> RenderedFrame:
         entry, before = frame.entry, frame.before
-        camera: Any = entry.render_camera  # None where `open_capture` was called for a capture without cameras
         stored = RenderedFrame(
             self._read(frame, "color"),
             self._depth(frame),
             motion,
-            camera,
+            frame.camera.camera,
             entry.time,
             reset=entry.reset,
             geometry_jitter=entry.geometry_jitter,
@@ -268,7 +266,7 @@ class FolderPixels(ForeignPixels):
         return described_frame(stored, self._made.format_of(frame), before and before.entry.render_camera, jitter)
 
 
-def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Capture, Description, str | None]:
+def _parse(folder: Path, document: dict) -> tuple[_Capture, Description, str | None]:
     """Return the capture, its description, and a sentence about numbers that are missing."""
     keys = Keys(document, FILE_NAME)
     keys.take("format")
@@ -295,15 +293,14 @@ def _parse(folder: Path, document: dict, cameras_needed: bool) -> tuple[_Capture
     patterns = None if camera_files is None else parse_buffer({"file": camera_files, "channels": ["R"]}, "depth")
     gaps = mark_gaps([(number, entry) for number, entry, _ in frames])
     for index, (number, entry, camera) in enumerate(frames):
-        label = f"{FILE_NAME}, frame {number}, camera"
+        label = f"{FILE_NAME}, frame {number}"
         if camera is None and listed is not None:
             camera = listed[index]
         if camera is None and patterns is not None:
             label, camera = patterns.file(number), read_json(patterns.path(folder, number))
-        found = parse_camera(camera, rules, size, label) if camera is not None or cameras_needed else None
+        found = parse_camera(camera, rules, size, label)
         _require_camera(made, found, label)
-        if found:
-            entry.display_camera = found.camera
+        entry.display_camera = found.camera
         made.frames[entry.file] = _Frame(number, entry, found)
     _link(made)
     entries = [frame.entry for frame in made.frames.values()]
@@ -334,28 +331,20 @@ def _link(made: _Capture) -> None:
         frame.numbers = {name: rendered[index].number for name, index in at.items()}
         entry.render_camera = entry.display_camera
         entry.reset = entry.reset or previous is None
-        if jitters and frame.camera:
+        if jitters:
             entry.geometry_jitter = (-frame.camera.jitter[0], -frame.camera.jitter[1])
         frame.before = None if entry.reset else previous
         previous = frame
 
 
-def _require_camera(made: _Capture, found: FoundCamera | None, label: str) -> None:
+def _require_camera(made: _Capture, found: FoundCamera, label: str) -> None:
     """Raise GffeError if the camera lacks data that the buffers need."""
     if made.depth_planes:
-        if found is None or found.projection is None:
+        if found.projection is None:
             raise GffeError(f"{label}: device depth needs a projection matrix, or near_z and far_z in frame_format")
         found.planes(made.rules)
-    elif made.format.depth == "device" and found is not None and found.projection is not None:
+    elif made.format.depth == "device" and found.projection is not None:
         found.refuse_oblique()
-    if found is None:
-        for needs, what in (
-            (made.format.depth == "distance", "distances along the rays"),
-            (made.files["motion"].to_next, "motion to the next frame"),
-            (made.files["motion"].without_jitter, "motion without jitter"),
-        ):
-            if needs:
-                raise GffeError(f"{label}: {what} cannot be converted without a camera")
 
 
 def _frames(given: Any, fps: float | None) -> Iterator[tuple[int, FrameEntry, Any]]:

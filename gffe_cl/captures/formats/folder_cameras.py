@@ -8,7 +8,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.captures.formats.capture import Keys, Size
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.core.validation import require_bool, require_vector
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.conventions import (
@@ -74,10 +74,8 @@ class FoundCamera:
 
     def refuse_oblique(self) -> None:
         assert self.projection is not None
-        try:
+        with within(self.label):
             refuse_oblique(self.projection)
-        except GffeError as error:
-            raise GffeError(f"{self.label}: {str(error).removeprefix('camera: ')}") from None
 
     def range_note(self, rules: CameraRules) -> str | None:
         """Return a sentence where neither the description nor the projection determines the range of a depth buffer of
@@ -112,21 +110,19 @@ def parse_rules(keys: Keys) -> CameraRules:
 
 def parse_camera(document: Any, rules: CameraRules, size: Size, label: str) -> FoundCamera:
     """Return the camera in the object `document` on an image of `size`. Raises a GffeError that begins with `label`."""
-    keys = Keys(document, label)
+    keys = Keys(document, f"{label}, camera")
     view, projection = keys.take("view"), keys.take("projection")
-    jitter = require_vector(keys.take("jitter", (0.0, 0.0)), f"{label}, jitter", 2).tolist()
+    jitter = require_vector(keys.take("jitter", (0.0, 0.0)), f"{keys.label}, jitter", 2).tolist()
     focal = {name: keys.number(name) for name in ("fx", "fy", "cx", "cy", "fov_x", "fov_y")}
     keys.done()
-    try:
+    with within(label):
         view = square(view, "view")
         if projection is None:
             made, p = _from_focal(view, focal, rules, size), None
         else:
             projection = square(projection, "projection")
-            view, p = matrices(*_inverted(view, projection, rules), rules.layout)
+            view, p = matrices(_inverted(view) if rules.view_to_world else view, projection, rules.layout)
             made = CONVENTIONS[rules.convention][0](view, p, size, "row-major")
-    except (GffeError, np.linalg.LinAlgError) as error:
-        raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
     factor = UNITS[rules.jitter_unit](size)
     moved = (jitter[0] * factor[0], jitter[1] * factor[1] * (-1 if rules.jitter_up else 1))
     if not rules.jitter_in_projection:
@@ -138,8 +134,11 @@ def parse_camera(document: Any, rules: CameraRules, size: Size, label: str) -> F
     return FoundCamera(made, p, rules.scale, moved, label)
 
 
-def _inverted(view: np.ndarray, projection: np.ndarray, rules: CameraRules) -> tuple[np.ndarray, np.ndarray]:
-    return (np.linalg.inv(view) if rules.view_to_world else view), projection
+def _inverted(view: np.ndarray) -> np.ndarray:
+    try:
+        return np.linalg.inv(view)
+    except np.linalg.LinAlgError:
+        raise GffeError("camera: view is singular (expected a rotation and a translation)") from None
 
 
 def _from_focal(view: np.ndarray, focal: dict[str, float | None], rules: CameraRules, size: Size) -> Camera:
@@ -148,19 +147,19 @@ def _from_focal(view: np.ndarray, focal: dict[str, float | None], rules: CameraR
         layout = "row-major" if np.abs(view[3] - (0, 0, 0, 1)).max() < 1e-6 else "column-major"
     view = view if layout == "row-major" else view.T
     if np.abs(view[3] - (0, 0, 0, 1)).max() > 1e-6:
-        raise GffeError(f"the view does not fit layout '{layout}' (expected a last row 0 0 0 1 for column vectors)")
+        raise GffeError(f"camera: view does not fit layout '{layout}' (expected a last row 0 0 0 1 for column vectors)")
     if rules.view_to_world:
-        view = np.linalg.inv(view)
+        view = _inverted(view)
     fx, fy = focal["fx"], focal["fy"]
     for axis, angle in enumerate((focal["fov_x"], focal["fov_y"])):
         if angle is not None:
             if not 0 < angle < 180:
-                raise GffeError(f"fields of view are between 0 and 180 degrees, got {angle:g}")
+                raise GffeError(f"camera: fields of view are between 0 and 180 degrees, got {angle:g}")
             length = size[axis] / 2 / np.tan(np.radians(angle) / 2)
             fx, fy = (length, fy) if axis == 0 else (fx, length)
     fx, fy = fx or fy, fy or fx
     if fx is None or fy is None:
-        raise GffeError("no projection (expected a matrix, fx and fy, or fov_x or fov_y in degrees)")
+        raise GffeError("camera: no projection (expected a matrix, fx and fy, or fov_x or fov_y in degrees)")
     cx = size[0] / 2 if focal["cx"] is None else focal["cx"]
     cy = size[1] / 2 if focal["cy"] is None else focal["cy"]
     axes = np.diag([*CONVENTIONS[rules.convention][1], 1.0])

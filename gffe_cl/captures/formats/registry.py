@@ -10,10 +10,10 @@ from pathlib import Path
 from gffe_cl.captures.formats import blender, folder, unreal
 from gffe_cl.captures.sequence.description import FILE_NAME
 from gffe_cl.captures.sequence.output_folder import why_unfinished
-from gffe_cl.captures.sequence.reader import CAMERAS, Sequence, open_sequence
+from gffe_cl.captures.sequence.reader import Sequence, open_sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import follow_links as following
-from gffe_cl.engine.core.validation import require_choice, require_path
+from gffe_cl.engine.core.validation import require_path
 
 
 @dataclass(frozen=True)
@@ -63,32 +63,28 @@ FORMATS = {
 }
 
 
-def open_capture(
-    path: str | os.PathLike[str], *, cameras: str = "needed", follow_links: bool | None = None
-) -> Sequence:
+def open_capture(path: str | os.PathLike[str], *, follow_links: bool | None = None) -> Sequence:
     """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`, and return
     it as a `Sequence`. The form is recognized by the files.
 
     Everything that can be checked without decoding pixels is checked. Frames are converted to our own conventions, so
-    the result is like that of `open_sequence`. With `cameras` "optional" sequences of our own form and of `gffe-folder`
-    may lack cameras. With `follow_links` files of the capture may refer to files outside the folder; by default they
-    may not. Raises GffeError, also for a folder of no known form.
+    the result is like that of `open_sequence`. With `follow_links` files of the capture may refer to files outside the
+    folder; by default they may not. Raises GffeError, also for a folder of no known form.
     """
     path = require_path(path, "open_capture: path")
-    require_choice(cameras, CAMERAS, "open_capture: cameras")
     with following(follow_links):
-        return _opened(path, cameras)
+        return _opened(path)
 
 
-def _opened(path: Path, cameras: str) -> Sequence:
+def _opened(path: Path) -> Sequence:
     place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
     try:
         if not place.is_dir():
-            return open_sequence(path, cameras=cameras)
+            return open_sequence(path)
         described = place / FILE_NAME
         if described.exists():
             opened = folder.open_folder if folder.is_folder(described) else open_sequence
-            return opened(place, cameras=cameras)
+            return opened(place)
         known = next((one for one in FORMATS.values() if one.recognizes(place)), None)
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None

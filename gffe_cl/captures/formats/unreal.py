@@ -29,7 +29,7 @@ from gffe_cl.captures.sequence.exr import decoded, require_parts
 from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, read_header
 from gffe_cl.captures.sequence.pixel_source import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.conventions import depth_from_distance, motion_from_unreal
 
@@ -202,10 +202,9 @@ def _picture(name: str) -> bool:
 def _camera(attributes: dict[str, Any], size: tuple[int, int], file: str) -> Camera:
     location = [_number(attributes, f"curPos/{axis}", file) for axis in "xyz"]
     rotation = [_number(attributes, f"curRot/{angle}", file) for angle in ("pitch", "yaw", "roll")]
-    try:
-        return Camera.from_unreal_pose(location, rotation, _number(attributes, "fov", file), size)
-    except GffeError as error:
-        raise GffeError(f"{file}: {error}") from None
+    fov = _number(attributes, "fov", file)
+    with within(file):
+        return Camera.from_unreal_pose(location, rotation, fov, size)
 
 
 def _number(attributes: dict[str, Any], name: str, file: str) -> float:

@@ -15,7 +15,7 @@ from pathlib import Path, PurePosixPath, PureWindowsPath
 
 import numpy as np
 
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.core.files import following_links, open_regular
 from gffe_cl.engine.core.validation import (
     MOST_SIDE,
@@ -176,7 +176,7 @@ def checked_entry(entry: FrameEntry) -> FrameEntry:
         reset=require_bool(entry.reset, f"{label}reset"),
         render_size=None if size is None else require_size(size, f"{label}render_size", whole=True),
         alpha=None if alpha is None else require_positive(alpha, f"{label}alpha"),
-        geometry_jitter=_parse_jitter(entry.geometry_jitter, label),
+        geometry_jitter=require_jitter(entry.geometry_jitter, entry.file),
         geometry_size=None if geometry is None else require_size(geometry, f"{label}geometry_size", whole=True),
     )
 
@@ -347,7 +347,7 @@ def _parse_frame(frame, index, name) -> FrameEntry:
     if frame.get("render_size") is not None:
         entry.render_size = _parse_size(frame["render_size"], label)
     if frame.get("geometry_jitter") is not None:
-        entry.geometry_jitter = _parse_jitter(frame["geometry_jitter"], f"{label}: ")
+        entry.geometry_jitter = require_jitter(frame["geometry_jitter"], label)
     if frame.get("geometry_size") is not None:
         entry.geometry_size = _parse_size(frame["geometry_size"], label, "geometry_size")
     if frame.get("source") is not None:
@@ -363,26 +363,15 @@ def _parse_frame(frame, index, name) -> FrameEntry:
 def _parse_format(given, version: int, name: str) -> FrameFormat:
     if version < 2:
         raise GffeError(f"{name}: frame_format needs version 2, got {version}")
-    try:
+    with within(name):
         return FrameFormat.from_json(given)
-    except GffeError as error:
-        raise GffeError(f"{name}: frame_format: {str(error).removeprefix('format: ')}") from None
-
-
-def _parse_jitter(given, label: str) -> tuple[float, float]:
-    try:
-        return require_jitter(given)
-    except GffeError as error:
-        raise GffeError(f"{label}{str(error).removeprefix('frame: ')}") from None
 
 
 def _parse_camera(document, label) -> Camera:
     if not isinstance(document, dict) or any(name not in document for name in _CAMERA):
         raise GffeError(f"{label} must have {', '.join(_CAMERA)}")
-    try:
+    with within(label):
         return Camera(**{name: document[name] for name in _CAMERA})
-    except GffeError as error:
-        raise GffeError(f"{label}: {str(error).removeprefix('camera: ')}") from None
 
 
 def _parse_size(value, label, what="render_size") -> tuple[int, int]:

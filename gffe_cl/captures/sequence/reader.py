@@ -7,7 +7,6 @@ import os
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
@@ -31,7 +30,7 @@ from gffe_cl.captures.sequence.matching import Timeline
 from gffe_cl.captures.sequence.output_folder import why_unfinished
 from gffe_cl.captures.sequence.pixel_source import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
 from gffe_cl.captures.sequence.read_ahead import read_ahead
-from gffe_cl.engine.core.errors import GffeError, printable
+from gffe_cl.engine.core.errors import GffeError, printable, within
 from gffe_cl.engine.core.files import follow_links as following
 from gffe_cl.engine.core.validation import (
     require_choice,
@@ -46,9 +45,6 @@ from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, requ
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame, require_one_pose
 
 _MOST_AHEAD = 1024
-
-
-CAMERAS = ("needed", "optional")  # of rendered frames
 
 
 class Sequence:
@@ -88,10 +84,8 @@ class Sequence:
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
         for entry in self.rendered:
-            try:
-                self.geometry_of(entry)
-            except GffeError as error:
-                raise GffeError(f"{path}: frame_{error}") from None
+            with within(str(path)):
+                self._geometry_of(entry)
 
     def __iter__(self) -> Iterator[RenderedFrame]:
         """Return an iterator over the rendered frames in order. The next ones are read meanwhile on threads.
@@ -155,7 +149,7 @@ class Sequence:
         """Return (width, height) of the images of `entry`, in pixels."""
         return _entry(entry).render_size or (self.width, self.height)
 
-    def geometry_of(self, entry: FrameEntry) -> tuple[int, int]:
+    def _geometry_of(self, entry: FrameEntry) -> tuple[int, int]:
         """Return width and height of depth and motion of a rendered frame, pixels."""
         return require_render_size(self.format, self.size_of(entry), entry.geometry_size)
 
@@ -188,13 +182,13 @@ class Sequence:
         the file has been damaged since opening."""
         frame, previous = self.read_stored(entry), self._previous.get(entry.file)
         before = None if entry.reset or previous is None else previous
-        size, geometry = self.size_of(entry), self.geometry_of(entry)
+        size, geometry = self.size_of(entry), self._geometry_of(entry)
         if self.format or geometry != size:
             jitter = (0.0, 0.0)
             if before:
-                jitter = jitter_in_color(before.geometry_jitter, size, self.geometry_of(before))
+                jitter = jitter_in_color(before.geometry_jitter, size, self._geometry_of(before))
             frame = described_frame(frame, self.format or FrameFormat(), before and before.render_camera, jitter)
-        if before and frame.camera and before.render_camera:
+        if before and before.render_camera:
             text = zero_motion_warning(frame.motion, frame.depth, frame.camera, before.render_camera)
             if text:
                 self._suspicions.setdefault(text, entry.file)
@@ -207,9 +201,10 @@ class Sequence:
             raise GffeError(f"{entry.file}: kind is {entry.kind} (expected a rendered frame)")
         size = self.size_of(entry)
         color, depth, motion, overlays = self._pixels.read(entry, size)
-        width, height = self.geometry_of(entry)
+        width, height = self._geometry_of(entry)
         depth, motion = (a if a is None or (width, height) == size else a[:height, :width] for a in (depth, motion))
-        camera: Any = entry.render_camera  # None if `open_sequence` was called for a sequence without cameras
+        camera = entry.render_camera
+        assert camera is not None  # every rendered frame of an opened sequence has one
         shown_as_rendered = size == (self.width, self.height) and entry.display_camera == camera
         return RenderedFrame(
             color,
@@ -257,30 +252,20 @@ def _moment(kind: str, time: float) -> tuple[str, float]:
     return require_choice(kind, (*KINDS, "camera_only"), "sequence: kind"), require_number(time, "sequence: time")
 
 
-def open_sequence(
-    path: str | os.PathLike[str],
-    *,
-    cameras: str = "needed",
-    mend: Callable[[str], str] | None = None,
-    follow_links: bool | None = None,
-) -> Sequence:
+def open_sequence(path: str | os.PathLike[str], *, follow_links: bool | None = None) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`), and return it.
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing channel or file,
-    a wrong size, or a truncated file. With `cameras` "optional" rendered frames may lack a camera (then it is None);
-    `read_channels` gives their arrays. `mend` converts the JSON text before it is used. With `follow_links` the JSON
-    may name files outside the folder; by default it may not. Raises GffeError.
+    a wrong size, or a truncated file. With `follow_links` the JSON may name files outside the folder; by default it may
+    not. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")
-    require_choice(cameras, CAMERAS, "open_sequence: cameras")
-    if mend is not None:
-        require_kind(mend, Callable, "open_sequence: mend", "a function or None")
     with following(follow_links):
-        return _opened(path, cameras, mend)
+        return _opened(path)
 
 
 @without_collections()
-def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequence:
+def _opened(path: Path) -> Sequence:
     try:
         if unfinished := why_unfinished(path):
             raise GffeError(f"{path}: {unfinished}")
@@ -292,17 +277,14 @@ def _opened(path: Path, cameras: str, mend: Callable[[str], str] | None) -> Sequ
         folder = json_path.parent
     except OSError as error:
         raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
-    text = read_text(json_path)
-    if mend is not None:
-        text = require_kind(mend(text), str, "open_sequence: the result of mend", "a text")
-    description = parse_description(text, json_path.name)
+    description = parse_description(read_text(json_path), json_path.name)
 
     # On one thread: the system calls are so short that threads only wait for each other.
     pixels = OwnPixels(folder)
     for index, entry in enumerate(description.frames):
         header = read_header(os.path.join(folder, entry.place), entry.file)
         places = _places(entry, header)
-        _complete_cameras(entry, header, description, index, json_path.name, cameras == "needed")
+        _complete_cameras(entry, header, description, index, json_path.name)
         size = entry.render_size or (description.width, description.height)
         exr.require_parts(header, {part for part, _ in places}, size, entry.file)
         if entry.kind == "rendered":
@@ -324,17 +306,17 @@ def _lacks_camera(entry) -> bool:
     return (entry.render_camera if entry.kind == "rendered" else entry.display_camera) is None
 
 
-def _complete_cameras(entry, header, description, index, json_name, needed):
+def _complete_cameras(entry, header, description, index, json_name):
     """Set cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
     size = (description.width, description.height)
     part = header.parts[header.find("R")[0]]
     rendered = entry.kind == "rendered"
     if rendered and entry.render_camera is not None:
         _complete_overscan(entry, part, size)
-    try:
+    with within(frame_label(index, entry.file, json_name)):
         if _lacks_camera(entry) and has_camera(part):
             _take_header_cameras(entry, part, size)
-        if not rendered or (entry.render_camera is None and not needed):
+        if not rendered:
             return
         if entry.render_camera is None:
             raise GffeError("no render_camera, and no worldToCamera and worldToNDC in the EXR header")
@@ -342,15 +324,11 @@ def _complete_cameras(entry, header, description, index, json_name, needed):
             entry.display_camera = _same_frustum(entry, size)
         if entry.display_camera is not entry.render_camera:
             require_one_pose(entry.render_camera, entry.display_camera)
-    except GffeError as error:
-        raise GffeError(f"{frame_label(index, entry.file, json_name)}: {str(error).removeprefix('frame: ')}") from None
 
 
 def _take_header_cameras(entry, part, size):
-    try:
+    with within("EXR header"):
         render, display = header_cameras(part)
-    except GffeError as error:
-        raise GffeError(f"EXR header, {error}") from None
     width, height = part.shown_size
     display = display.scaled(size[0] / width, size[1] / height)
     if entry.kind == "rendered":

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import re
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 
 # The address of the repository, for users; empty until it is known, then lines that would name it are left out.
@@ -20,6 +22,15 @@ class GffeError(Exception):
 
     def __init__(self, message: str):
         super().__init__(shortened(printable(_LONG_NUMBER.sub(r"\1…", message))))
+
+
+@contextmanager
+def within(place: str) -> Iterator[None]:
+    """Raise a GffeError of the block again, with the `place` of the fault before its message."""
+    try:
+        yield
+    except GffeError as error:
+        raise GffeError(f"{place}: {error}") from None
 
 
 MOST = 1000  # characters of a message

@@ -433,13 +433,14 @@ def require_render_size(
     return geometry
 
 
-def require_jitter(value: Any) -> tuple[float, float]:
-    """Return the jitter of a frame's geometry. Raises GffeError unless it is two numbers, of pixels, up to 16."""
+def require_jitter(value: Any, label: str = "frame") -> tuple[float, float]:
+    """Return the jitter of a frame's geometry. Raises a GffeError that begins with `label` unless it is two numbers, of
+    pixels, up to 16."""
     if value is NO_JITTER:
         return NO_JITTER
-    x, y = require_vector(value, "frame: geometry_jitter", 2).tolist()
+    x, y = require_vector(value, f"{label}: geometry_jitter", 2).tolist()
     if max(abs(x), abs(y)) > MOST_JITTER:
-        raise GffeError(f"frame: geometry_jitter must be in pixels, up to {MOST_JITTER:g}, got {shown([x, y])}")
+        raise GffeError(f"{label}: geometry_jitter must be in pixels, up to {MOST_JITTER:g}, got {shown([x, y])}")
     return x, y
 
 

@@ -207,9 +207,9 @@ def test_the_display_part_of_a_run_is_in_our_conventions(device, tmp_path):
     [
         ({"version": 1}, "frame_format needs version 2, got 1"),
         ({"version": 3}, r"unknown version 3 \(expected 1 or 2\)"),
-        ({"frame_format": {"depth": "far"}}, "frame_format: depth must be one of linear, device"),
-        ({"frame_format": {"colour": 1}}, "frame_format: unknown field 'colour'"),
-        ({"frame_format": [1]}, "frame_format: .*must be an object"),
+        ({"frame_format": {"depth": "far"}}, "sequence.json: format: depth must be one of linear, device"),
+        ({"frame_format": {"colour": 1}}, "sequence.json: format: unknown field 'colour'"),
+        ({"frame_format": [1]}, "sequence.json: .*must be an object"),
         ({"frame_format": {"geometry_size": [4, 4], "color_size": [4, 4]}}, r"color is 4×4 \(expected the render"),
     ],
 )

@@ -273,7 +273,7 @@ def test_no_camera_at_all(folder):
     OpenEXR.File({"type": OpenEXR.scanlineimage, **broken}, contiguous(named_channels(*pixels(1)))).write(
         str(folder / "frame_1.exr")
     )
-    assert "EXR header, camera: world_to_view is singular" in fault(folder)
+    assert "EXR header: camera: world_to_view is singular" in fault(folder)
 
 
 def test_extrapolated_frames_may_coincide(folder):

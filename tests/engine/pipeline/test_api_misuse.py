@@ -268,8 +268,8 @@ def file_calls(folder):
         "named_channels": Call(
             gffe_cl.named_channels, {"color": COLOR, "depth": DEPTH, "motion": MOTION, "overlays": Overlays()}
         ),
-        "open_sequence": Call(open_sequence, {"path": folder / "good", "cameras": "needed", "mend": None}),
-        "open_capture": Call(gffe_cl.open_capture, {"path": folder / "good", "cameras": "needed"}),
+        "open_sequence": Call(open_sequence, {"path": folder / "good"}),
+        "open_capture": Call(gffe_cl.open_capture, {"path": folder / "good"}),
         "Sequence.at": Call(sequence.at, moment),
         "Sequence.camera_at": Call(sequence.camera_at, {"time": 0.0}),
         "Sequence.nearest": Call(sequence.nearest, moment),
