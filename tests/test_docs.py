@@ -1,22 +1,17 @@
 """The documentation says what is: examples run, commands parse, links lead somewhere, made parts are new."""
 
 import contextlib
-import inspect
 import io
 import json
 import re
 import shlex
-import tomllib
 from pathlib import Path
-from types import FunctionType
 
 import numpy as np
 import pytest
-from make_tables import SHOWN
 from typer.main import get_command
 
 import gffe_cl
-from gffe_cl import cli
 from gffe_cl.captures.sequence.description import Description, FrameEntry, describe
 from gffe_cl.cli.commands import app
 from gffe_cl.engine.core.public_names import GONE, removal
@@ -108,19 +103,6 @@ def test_pictures_are_used():
     assert {picture.name for picture in (ROOT / "docs" / "pictures").iterdir()} == used
 
 
-def test_every_symptom_has_its_picture():
-    from make_symptoms import MAKERS
-
-    pictures = [f"symptom_{name}.jpg" for name in MAKERS]
-    assert re.findall(r"\(pictures/([\w.]+)\)", TEXTS["docs/symptoms.md"]) == pictures
-    assert sum((ROOT / "docs" / "pictures" / name).stat().st_size for name in pictures) < 600_000
-
-
-def test_no_paths_of_one_machine():
-    for name, text in TEXTS.items():
-        assert not re.search(r"(?<![\w.~$}/])/(home|root|tmp|work)\b", text), name
-
-
 def test_tables_are_up_to_date():
     from make_tables import TABLES, with_tables
 
@@ -162,41 +144,6 @@ def test_the_reference_has_everything_public():
     assert sorted([*listed, "__version__"]) == sorted(gffe_cl.__all__)
 
 
-def _public():
-    """(name, what has the docstring) of everything public, methods and properties included."""
-    for name in gffe_cl.__all__:
-        thing = getattr(gffe_cl, name)
-        if callable(thing):
-            yield name, thing
-        for member, value in vars(thing).items() if isinstance(thing, type) else ():
-            if not member.startswith("_") and isinstance(value, property | classmethod | FunctionType):
-                yield f"{name}.{member}", getattr(value, "__func__", value)
-
-
-def stray_lines(docstring):
-    """Lines below a heading of numpydoc that lists entries, which are none: documentation would show them as such."""
-    found, lists = [], False
-    lines = docstring.splitlines()
-    for line, following in zip(lines, [*lines[1:], ""], strict=True):
-        if following and set(following) == {"-"}:
-            lists = line in ("Parameters", "Attributes", "Raises")
-        elif lists and re.match(r"[^\s-]", line) and " : " not in line and not following.startswith(" "):
-            found.append(line)
-    return found
-
-
-def test_docstrings_of_everything_public_are_numpydoc():
-    for name, thing in _public():
-        text = inspect.getdoc(thing)
-        assert text, f"{name}: no docstring"
-        assert stray_lines(text) == [], name
-        if isinstance(thing, property):
-            assert ":" not in text.partition("\n")[0], f"{name}: what stands before a colon would be taken for its type"
-    assert stray_lines("Text.\n\nRaises\n------\nGffeError\n    If so.\n\nProse that ends it.\n") == [
-        "Prose that ends it."
-    ]
-
-
 PAGE = re.compile(r"(?<![\w/])docs/[\w/-]*\w\.\w+|\b[a-z_]+\.md\b")
 
 
@@ -230,11 +177,6 @@ def test_the_specification_of_sequences_has_every_key():
     assert {"unfinished", "alpha", "render_size", "display_camera", "cx"} <= {*written, *frame, *frame["render_camera"]}
 
 
-def test_how_it_works_has_every_stage():
-    page = TEXTS["docs/how_it_works.md"]
-    assert [stage.name for stage in SHOWN if f"`{stage.name}`" not in page] == []
-
-
 def test_deviations_that_are_measured_exist():
     """What `measure_deviations.py` changes is in the kernels, and each of its rows is explained."""
     import measure_deviations as measured
@@ -251,28 +193,3 @@ def test_deviations_that_are_measured_exist():
     for name in (*measured.GAE, *measured.SCN):
         assert name.strip("()… ").lower() in explained, name
         assert f"| {name} |" in page, f"{name}: run python docs/tools/measure_deviations.py --write"
-
-
-def test_readme_is_short():
-    assert len(TEXTS["README.md"].splitlines()) <= 150
-
-
-def test_nothing_is_promised_from_an_index():
-    """The package is on none: extras are installed from a checkout or a wheel, as one function says."""
-    written = TEXTS | {
-        path.relative_to(ROOT).as_posix(): path.read_text("utf-8")
-        for folder in ("gffe_cl", "viewer")
-        for path in (ROOT / folder).rglob("*.py")
-    }
-    promising = re.compile(r"pip install ['\"]?gffe[-_]cl(\[|['\"`\s])")
-    assert not [name for name, text in written.items() if promising.search(text)]
-    assert promising.search("pip install 'gffe-cl[intel]'")  # ... or this would find nothing
-    extras = tomllib.loads((ROOT / "pyproject.toml").read_text())["project"]["optional-dependencies"]
-    named = {name for text in written.values() for name in re.findall(r"how_to_install\(['\"](\w+)['\"]\)", text)}
-    assert named and named <= set(extras)
-
-
-def test_all_exit_codes_are_listed():
-    words = r"\d+ (?:done|findings|failed|interrupted)"
-    listed, ours = (re.findall(words, text) for text in ((ROOT / "docs" / "cli.md").read_text(), cli.__doc__))
-    assert listed == ours and len(ours) == 4

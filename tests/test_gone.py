@@ -1,6 +1,7 @@
-"""Removed names of the API, commands and options give one line that says what to use instead."""
+"""Public names: the stub for type checkers has them all; removed ones give one line that says what to use instead."""
 
 import json
+import re
 from pathlib import Path
 
 import pytest
@@ -9,7 +10,7 @@ from typer.main import get_command
 import gffe_cl
 from gffe_cl.cli.commands import app, invoke
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.public_names import GONE
+from gffe_cl.engine.core.public_names import GONE, HOME
 
 
 @pytest.mark.parametrize("name", GONE)
@@ -18,6 +19,14 @@ def test_a_removed_name_says_what_to_use(name):
     words = name.split()
     with pytest.raises(GffeError, match=f"{name} was removed: "):
         invoke(words[1:]) if words[0] == "gffe" else getattr(gffe_cl, name)
+
+
+def test_the_stub_has_all_names_and_their_modules():
+    """Type checkers read it in place of the module, which loads names on first use."""
+    package = Path(gffe_cl.__file__).parent
+    stub = (package / "__init__.pyi").read_text()
+    names = re.findall(r"^from gffe_cl\.([\w.]+) import (\w+) as \2$", stub, re.M)
+    assert {name: module for module, name in names} == HOME and (package / "py.typed").exists()
 
 
 def public_names():

@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from gffe_cl.engine.opencl.program import kernel_folder
-from gffe_cl.engine.options import OPTIONS
 
 # What a module of each wing may import beyond its own wing.
 WINGS = {
@@ -251,8 +250,6 @@ def test_the_rules_can_fail():
     assert upwards({"viewer.state.model": {"viewer.window.app"}}, ROOMS_OF_VIEWER)
     with pytest.raises(AssertionError, match="on no floor"):
         upwards({"cellar": set()}, FLOORS["engine"])
-    source = "def draw(app, size): ...\ndef _of(_model: Any, *, options=None): ...\ndef fit(model: Model): ..."
-    assert untyped(source) == ["1: app", "2: _model", "2: options"]
 
 
 def test_imports_of_the_viewer_are_relative(tmp_path):
@@ -266,24 +263,6 @@ def test_imports_of_the_viewer_are_relative(tmp_path):
     assert imports("cli.view", path, known) == {"viewer.state.model"}
     with pytest.raises(AssertionError, match="relative"):
         imports("viewer.window.plot", path, known)
-
-
-def untyped(source):
-    """Line and name of parameters that pass the application, the model or options on without their type."""
-    functions = [node for node in ast.walk(ast.parse(source)) if isinstance(node, ast.FunctionDef)]
-    return [
-        f"{node.lineno}: {given.arg}"
-        for node in functions
-        for given in (*node.args.posonlyargs, *node.args.args, *node.args.kwonlyargs)
-        if given.arg.strip("_") in ("app", "model", "options")
-        and (given.annotation is None or ast.unparse(given.annotation) == "Any")
-    ]
-
-
-def test_a_click_leads_to_the_definition():
-    """Whatever takes the application, the model or options says so: nearly all code of the viewer begins there."""
-    for path in parts()["viewer"].rglob("*.py"):
-        assert untyped(path.read_text("utf-8")) == [], path
 
 
 _PIPELINE = """
@@ -321,19 +300,6 @@ def test_a_renderer_links_the_engine_alone():
     assert {name for name in tops if not name.startswith("_")} <= _LINKED
 
 
-def test_the_viewer_knows_no_option_by_name():
-    """A new toggle needs no change in the viewer: only what makes shading correction unavailable, and what
-    frames are rendered for, read single options."""
-    reading = ("engine/slot_maker.py", "state/parameters.py")
-    folder = parts()["viewer"]
-    for path in folder.rglob("*.py"):
-        if path.relative_to(folder).as_posix() in reading:
-            continue
-        for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-            if isinstance(node, ast.Attribute) and node.attr in OPTIONS:
-                assert not ast.unparse(node.value).endswith("options"), f"{path}:{node.lineno} reads {node.attr}"
-
-
 def test_the_map_has_the_wings_of_the_house():
     page = (Path(__file__).parents[1] / "docs/map.md").read_text("utf-8")
     for wing, floors in FLOORS.items():
@@ -358,30 +324,3 @@ def several_values(files):
         for name, value in re.findall(r"^[ \t]*#define (\w+)[ \t]+([^\n\\]+)$", text, re.M):
             found.setdefault(name, {}).setdefault(file, set()).add(value.strip())
     return {name for name, by_file in found.items() if len(set(map(frozenset, by_file.values()))) > 1}
-
-
-# Files whose fractions are no thresholds: limits of formats, errors of rounding, geometry, the paper's own numbers.
-WITHOUT_THRESHOLDS = {
-    "blocks.h",
-    "candidates.h",
-    "common.h",
-    "cubic.h",
-    "directional_search.h",
-    "network_input.cl",
-    "rgb9e5.h",
-    "shading.cl",
-    "simd.h",
-}
-
-
-def test_thresholds_name_what_set_them():
-    docs = Path(__file__).parents[1] / "docs"
-    for path in kernel_folder().glob("*.*"):
-        text = path.read_text("utf-8")
-        told = re.findall(r"What\s+set\s+[^:]*: docs/(\w+\.md),(.*?)\*/", text, re.DOTALL)
-        has_some = re.search(r"^#define \w+ +[0-9.]+(e-?[0-9]+)?f\b", text, re.MULTILINE)
-        assert told or not has_some or path.name in WITHOUT_THRESHOLDS, f"{path.name} does not name what set them"
-        for page, names in told:
-            parts = (docs / page).read_text("utf-8")
-            for name in re.findall(r'"(.*?)"', " ".join(names.split())):
-                assert re.search(rf"^(- \*\*|#+ ){re.escape(name)}", parts, re.MULTILINE), f"docs/{page} lacks '{name}'"

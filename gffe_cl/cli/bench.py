@@ -105,7 +105,8 @@ def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
     table = Table("bytes per pixel (ms)", *heads, title=title, box=None, header_style="bold")
     last = results[-1]
     for part in results[0].milliseconds:
-        figures = [f"{r.bytes_per_pixel[part]:.0f} ({r.milliseconds[part]:.2f})" for r in results]
+        parts = [(r.bytes_per_pixel.get(part), r.milliseconds.get(part)) for r in results]  # small frames lack some
+        figures = ["–" if ms is None else f"{moved:.0f} ({ms:.2f})" for moved, ms in parts]
         style = "bold" if part in ("GAE", "SCN") else None
         table.add_row(part, *figures, str(PAPER.get(part) or ""), style=style)
     table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")

@@ -89,7 +89,7 @@ class Metric:
             importlib.import_module(self.module)
         except ModuleNotFoundError:
             return what
-        except Exception as error:  # whatever a binary package throws
+        except (ImportError, OSError) as error:
             return f"{what} ({error})"
         return None
 
@@ -195,14 +195,6 @@ def _pair(a, b, mask) -> tuple:
 def relative_error(a, b):
     """Return 2|a−b| / (|a|+|b|+0.01) of exposed linear colors, arrays or tensors: SMAPE is its mean over RGB."""
     return 2 * abs(a - b) / (abs(a) + abs(b) + SMAPE_EPSILON)
-
-
-def smape(a, b, exposure: float = 1.0) -> np.ndarray:
-    """Return the symmetric mean absolute percentage error of linear color, (H, W) float32 in [0, 2). NaN counts as
-    0."""
-    factor = np.float32(require_exposure(exposure))
-    a, b = (np.nan_to_num(np.asarray(x).astype(np.float32) * factor, nan=0.0) for x in (a, b))
-    return relative_error(a, b).mean(-1)
 
 
 def focus_mask(color, truth, dynamic, exposure: float = 1.0) -> np.ndarray:

@@ -58,8 +58,10 @@ def scene(pristine, tmp_path):
 
 def test_run_and_compare(gffe, scene, tmp_path):
     out = tmp_path / "out"
-    code, _, _ = gffe("run", scene, out, "--json", tmp_path / "run.json")
+    code, _, _ = gffe("run", scene, out, "--json", tmp_path / "run.json", "--compression", "rle")
     assert code == 0
+    header = OpenEXR.File(str(out / "extrapolated_000002_0500.exr"), header_only=True).header()
+    assert header["compression"] == OpenEXR.RLE_COMPRESSION
     assert json.loads((tmp_path / "run.json").read_text())["extrapolated"] == 4
     made = open_sequence(out)
     assert [len(made.rendered), len(made.extrapolated), len(made.ground_truth)] == [4, 4, 0]
@@ -81,31 +83,13 @@ def test_run_and_compare(gffe, scene, tmp_path):
     assert gffe("compare", out, scene, "--mask", "mask.dynamic")[0] == 0
 
 
-def test_compression_is_chosen(gffe, scene, tmp_path):
-    def compressions(folder):
-        paths = sorted(folder.glob("extrapolated_*.exr") if folder.name == "out" else folder.glob("*.exr"))
-        return {OpenEXR.File(str(path), header_only=True).header()["compression"] for path in paths}
-
-    assert gffe("run", scene, tmp_path / "out", "--compression", "rle", "--no-scn")[0] == 0
-    assert compressions(tmp_path / "out") == {OpenEXR.RLE_COMPRESSION}
-    assert gffe("run", scene, tmp_path / "out", "--no-scn")[0] == 0
-    assert compressions(tmp_path / "out") == {OpenEXR.ZIP_COMPRESSION}
-    options = ("--size", "32x18", "--frames", "2", "--compression", "none")
-    assert gffe("render", "plaza", tmp_path / "rendered", *options)[0] == 0
-    assert compressions(tmp_path / "rendered") == {OpenEXR.NO_COMPRESSION}
-
-
-def test_alpha_list_beyond_one(gffe, scene, tmp_path):
-    assert gffe("run", scene, tmp_path / "out", "--alpha", "0.25,1.5")[0] == 0
-    made = [(e.source, e.alpha) for e in open_sequence(tmp_path / "out").extrapolated]
-    assert sorted(made)[:2] == [("frame_000000.exr", 0.25), ("frame_000000.exr", 1.5)]
-
-
-def test_predicted_camera(gffe, scene, tmp_path):
-    assert gffe("run", scene, tmp_path / "out", "--camera", "predicted")[0] == 0
-    last = open_sequence(tmp_path / "out").extrapolated[-1]
-    np.testing.assert_allclose(last.display_camera.position, (0.05 * 3.5, 0, 0.35), atol=1e-4)
-    assert last.display_camera != view(3.5)
+def test_predicted_cameras_of_a_list_of_times(gffe, scene, tmp_path):
+    assert gffe("run", scene, tmp_path / "out", "--camera", "predicted", "--alpha", "0.25,1.5")[0] == 0
+    made = {(entry.source, entry.alpha): entry for entry in open_sequence(tmp_path / "out").extrapolated}
+    assert len(made) == 8 and ("frame_000000.exr", 1.5) in made
+    last = made["frame_000003.exr", 0.25]
+    np.testing.assert_allclose(last.display_camera.position, (0.05 * 3.25, 0, 0.325), atol=1e-4)
+    assert last.display_camera != view(3.25)
 
 
 def test_nothing_of_later_frames_is_read(gffe, scene, tmp_path):
@@ -153,12 +137,13 @@ def test_dump_stages(gffe, scene, tmp_path):
 def test_presets(gffe, tmp_path):
     """A preset sets what is not given, also where a given value is the default."""
     report = tmp_path / "r.json"
-    stages = {}
-    for words in ((), ("--preset", "performance"), ("--preset", "performance", "--warp", "footprints")):
+    for words, dilated in (
+        (("--preset", "performance"), True),
+        (("--preset", "performance", "--warp", "footprints"), False),
+    ):
         given = ("--size", "32x18", "--frames", 2, "--no-scn", *words)
-        assert gffe("run", "plaza", tmp_path / str(len(words)), *given, "--json", report)[0] == 0
-        stages[len(words)] = set(json.loads(report.read_text())["milliseconds"])
-    assert stages[2] - stages[0] == {"dilated_warp"} and stages[4] == stages[0]
+        assert gffe("run", "plaza", tmp_path / str(dilated), *given, "--json", report)[0] == 0
+        assert ("dilated_warp" in json.loads(report.read_text())["milliseconds"]) == dilated
     assert "--preset must be one of quality, balanced" in gffe("run", "plaza", tmp_path / "x", "--preset", "best")[2]
 
 
@@ -198,31 +183,18 @@ def test_shading_correction(gffe, tmp_path):
         assert np.array_equal(before["G"], made.read_channels(entry, ["G"])["G"])
 
 
-def test_eval_measures_a_network(gffe, tmp_path):
-    """Here one that brightens all: the focus mask limits the harm."""
-    model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.2)
-    options = ("--size", "96x54", "--frames", 5, "--scn-model", model, "--out", tmp_path / "report")
-    code, text, _ = gffe("eval", "room", "--methods", "no-scn,gffe,no-focus-mask", *options)
-    assert code == 0 and "focus" in text
-    results = json.loads((tmp_path / "report" / "results.json").read_text())
-    means = {mean["method"]: mean["psnr"] for mean in results["means"]}
-    assert means["no-scn"] > means["gffe"] > means["no-focus-mask"]
-
-
-@pytest.mark.parametrize("window", ["adaptive", "fixed:1.2", "off"])
+@pytest.mark.parametrize("window", ["adaptive", "fixed:1.2"])
 def test_windows(gffe, tmp_path, window):
     """Rendered through a window, extrapolated, compared; live the same frames come out as from disk."""
     options = ("--size", "64x36", "--frames", 4, "--window", window)
     assert gffe("render", "forest", tmp_path / "in", *options, "--ground-truth")[0] == 0
     recorded = open_sequence(tmp_path / "in")
     windowed = [entry.display_camera != entry.render_camera for entry in recorded.rendered]
-    assert windowed == {"off": [False] * 4, "fixed:1.2": [True] * 4, "adaptive": [False] + [True] * 3}[window]
+    assert windowed == {"fixed:1.2": [True] * 4, "adaptive": [False] + [True] * 3}[window]
     assert gffe("run", tmp_path / "in", tmp_path / "out")[0] == 0
     assert gffe("run", "forest", tmp_path / "live", *options)[0] == 0
     for name in ("extrapolated_000003_0500.exr", "frame_000003.exr"):
         assert _pixels(tmp_path / "live" / name) == _pixels(tmp_path / "out" / name)
-    has_display_motion = "motion.display.x" in _pixels(tmp_path / "out" / "extrapolated_000003_0500.exr")
-    assert has_display_motion == (window != "off")
     assert gffe("compare", tmp_path / "live", tmp_path / "in")[0] == 0
 
 
@@ -257,52 +229,6 @@ def test_display_motion(gffe, tmp_path):
         motion = np.stack([channels[f"{prefix}{axis}"][static] for axis in "xy"], -1)
         off = np.abs(px + motion - seen_by.project(world)[0]).max(-1)
         assert np.quantile(off, 0.95) < 0.05
-
-
-def test_bad_pixels_of_a_display_part_are_counted(gffe, tmp_path):
-    options = ("--size", "64x36", "--frames", 3, "--window", "fixed:1.2")
-    assert gffe("render", "room", tmp_path / "in", *options)[0] == 0
-    _spoil(tmp_path / "in" / "frame_000001.exr", "G", lambda a: a.__setitem__((15, 26), np.nan))
-    assert "1 × NaN or infinite color" in gffe("run", tmp_path / "in", tmp_path / "out", "--window", "off")[2]
-
-
-def test_overscan_from_the_header(gffe, tmp_path):
-    """An EXR data window larger than the display window is a rendering window, also where the JSON has the camera."""
-    from gffe_cl import fixed_window
-
-    render_size, window = (W + 16, H + 10), fixed_window(1.0)
-    window = window._replace(u0=-1 - 16 / W, u1=1 + 16 / W, v0=-1 - 10 / H, v1=1 + 10 / H)
-    previous = None
-    with SequenceWriter(tmp_path / "in", W, H, 30.0) as writer:
-        for k in range(4):
-            through = window.camera(view(k), (W, H), render_size)
-            frame = SCENE.frame(through, k / 30, *render_size, previous, reset=k == 0)
-            entry = FrameEntry(f"frame_{k:06d}.exr", k / 30, "rendered", k == 0, render_size, through, view(k))
-            writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
-            previous = (through, k / 30)
-    path = tmp_path / "in" / "sequence.json"
-    whole = open_sequence(tmp_path / "in")
-    document = json.loads(path.read_text())
-    for keys in (("display_camera",), ("render_size",)):
-        for frame in document["frames"]:
-            for key in keys:
-                frame.pop(key)
-        path.write_text(json.dumps(document))
-        opened = open_sequence(tmp_path / "in")
-        for got, expected in zip(opened.rendered, whole.rendered, strict=True):
-            assert got.render_size == render_size
-            np.testing.assert_allclose(got.display_camera.intrinsics, expected.display_camera.intrinsics)
-        assert not opened.warnings()
-
-
-def test_a_display_beyond_what_was_rendered_is_warned_about(gffe, scene, tmp_path):
-    document = json.loads((scene / "sequence.json").read_text())
-    for frame in document["frames"]:
-        if frame["kind"] == "rendered":
-            frame["display_camera"] = frame["render_camera"] | {"cx": frame["render_camera"]["cx"] + 5}
-    (scene / "sequence.json").write_text(json.dumps(document))
-    code, _, err = gffe("run", scene, tmp_path / "out")
-    assert code == 0 and "beyond the rendered area" in err
 
 
 def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
@@ -366,8 +292,8 @@ def _spoil(path, channel, change):
 
 WRONG = {
     "run": (
-        ("--alpha 0.5 -n 2", "exclude each other"), ("-n 8", "1 to 7"), ("-n 0", "1 to 7"), ("--alpha half", "numbers"),
-        ("--alpha -0.5", "positive"), ("--alpha 0.5,0.50", "alpha 0.5 is given twice"), ("--seed 3", "for built-in"),
+        ("--alpha 0.5 -n 2", "exclude each other"), ("-n 8", "1 to 7"), ("--alpha half", "numbers"),
+        ("--alpha 0.5,0.50", "alpha 0.5 is given twice"), ("--seed 3", "for built-in"),
         ("--device abacus", "no working device matches"), ("--history 9", "history"),
         ("--history 2 --order 2", "order"), ("--static-threshold -1", "threshold"), ("--camera mine", "--camera"),
         ("--camera-order 1.5", "1 to 2, or auto"), ("--frobnicate", "--frobnicate"),
@@ -402,13 +328,6 @@ def test_impossible_outputs(gffe, pristine, tmp_path):
     assert gffe("render", "corridor", tmp_path / "s", "--size", "big")[0] == 2
     assert gffe("render", "corridor", tmp_path / "s", "--frames", 0)[0] == 2
     assert not (tmp_path / "s").exists()
-
-
-@pytest.mark.skipif(os.geteuid() == 0, reason="root writes everywhere")
-def test_read_only_output(gffe, pristine, tmp_path):
-    (tmp_path / "locked").mkdir(mode=0o555)
-    code, _, err = gffe("run", pristine, tmp_path / "locked")
-    assert code == 2 and "locked" in err and not list((tmp_path / "locked").iterdir())
 
 
 def test_no_device_says_why(tmp_path, pristine):
@@ -448,27 +367,6 @@ def test_interrupt_keeps_what_is_finished(tmp_path):
     assert {p.name for p in part.glob("*.exr")} == {e.file for e in made.frames} and not out.exists()
 
 
-def test_signals_during_the_first_second(pristine, tmp_path):
-    """Whatever is being imported or compiled then: one line, and nothing half-written."""
-    remark = "1 error generated.\n"  # of LLVM in PoCL, whose own handler takes its files away
-    for k in range(6):
-        code = "import sys; from gffe_cl.cli import main; print(flush=True); main()"  # from here on it is our business
-        command = [sys.executable, "-c", code, "run", str(pristine), str(tmp_path / "out"), "-n", "7"]
-        child = subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
-        child.stdout.readline()
-        time.sleep(0.02 + 0.15 * k)
-        child.send_signal(signal.SIGTERM if k % 2 else signal.SIGINT)
-        _, err = child.communicate(timeout=60)
-        assert child.returncode in (0, 130) and (err == "") == (child.returncode == 0), err
-        if child.returncode:
-            err = err.removeprefix(remark)
-            assert err.startswith("interrupted") and err.count("\n") == 1
-            assert ("finished frames are in" in err) == (tmp_path / "out.part").exists()
-            assert not (tmp_path / "out").exists()
-        for name in ("out", "out.part"):
-            shutil.rmtree(tmp_path / name, ignore_errors=True)
-
-
 def test_nothing_heavy_before_the_handlers():
     heavy = ("numpy", "pyopencl", "typer", "rich", "ctypes", "json", "gffe_cl.engine.opencl")
     for module in ("gffe_cl.cli", "gffe_cl"):
@@ -500,23 +398,6 @@ def test_a_library_that_never_returns_is_interrupted(working, signals, seconds):
     finally:
         child.kill()
     assert child.returncode == 130
-
-
-def test_an_interrupt_that_cannot_pass_comes_again():
-    """In a destructor an exception is only printed; the interrupt must not be lost with it."""
-    code = (
-        "import signal, sys, time\n"
-        "from gffe_cl.cli import commands, main\n"
-        "class Last:\n"
-        "    def __del__(self): signal.raise_signal(signal.SIGTERM)\n"
-        "def invoke(arguments):\n"
-        "    last = Last(); del last\n"
-        "    time.sleep(30)\n"
-        "commands.invoke = invoke\n"
-        "main()"
-    )
-    child = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, timeout=20)
-    assert (child.returncode, child.stderr) == (130, "interrupted\n")
 
 
 def test_outputs_do_not_land_on_sequences(gffe, scene, tmp_path):
@@ -620,25 +501,3 @@ def test_unwritable_home(tmp_path):
         text=True,
     )
     assert child.returncode == 0 and "no:" not in child.stdout, child.stdout + child.stderr
-    # In the process itself, where no driver finds a cache: one program tells what all would.
-    build = (
-        "import gffe_cl; from gffe_cl.engine.opencl.program import build; build(gffe_cl.open_device(), 'presentation')"
-    )
-    child = subprocess.run(
-        [sys.executable, "-c", build], env=environment | {"HOME": "/proc"}, capture_output=True, text=True
-    )
-    assert child.returncode == 0 and not child.stderr, child.stderr
-
-
-def test_no_arguments_show_help(gffe):
-    code, text, err = gffe()
-    assert code == 0 and "Commands" in text and not err
-
-
-def test_eval_takes_seeds(gffe, tmp_path):
-    options = ("--size", "96x54", "--frames", 5, "--seeds", 2, "--out", tmp_path)
-    assert gffe("eval", "corridor", *options, "--methods", "repeat,gffe,papers-way")[0] == 0
-    results = json.loads((tmp_path / "results.json").read_text())
-    assert [sequence["name"] for sequence in results["sequences"]] == ["corridor:0", "corridor:1"]
-    psnr = {mean["method"]: mean["psnr"] for mean in results["means"]}
-    assert psnr["gffe"] > psnr["papers-way"] > psnr["repeat"]

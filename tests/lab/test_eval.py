@@ -7,59 +7,31 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from frame_models import network
+from scn_models import constant_model
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.lab.metrics import REGIONS
 from gffe_cl.lab.table import cells, results
 from gffe_cl.lab.table.cells import Cell, TableOrder, compute_cell, fill
-from gffe_cl.lab.table.footage import FolderSubject, SceneSubject, Shot, at_full_size, parse_subject
-from gffe_cl.lab.table.methods import GAINS, METHODS, chosen_methods
+from gffe_cl.lab.table.footage import FolderSubject, SceneSubject, Shot, at_full_size
+from gffe_cl.lab.table.methods import METHODS
 
 
-def test_subjects(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    subject = parse_subject("room:7", (64, 36), 6, 30.0, (0.5, 0.75))
-    assert (subject.name, subject.moments) == ("room:7", 8) and subject == replace(subject)
-    assert parse_subject("room", (64, 36), 6, 30.0, (0.5,)).name == "room:0"
-    for text, words in (("rom", "neither a built-in scene"), ("room:x", "seed must be")):
-        with pytest.raises(GffeError, match=words):
-            parse_subject(text, (64, 36), 6, 30.0, (0.5,))
-
-
-def test_methods_are_chosen_by_name_and_group():
-    assert list(chosen_methods(["repeat", "gffe"])) == ["gffe", "repeat"]
-    assert {m.group for m in chosen_methods(["deviation"]).values()} == {"deviation"}
-    assert METHODS["order-5"].options.order == 5
-    assert {gain.with_it for gain in GAINS} | {gain.without for gain in GAINS} <= set(METHODS)
-    assert {gain.region for gain in GAINS} <= set(REGIONS)
-    assert {gain.paper for gain in GAINS} - {""} <= set(results.PAPER)
-    with pytest.raises(GffeError, match="'gfe' is none of gffe, preset, ablation"):
-        chosen_methods(["gfe"])
-
-
-def test_keys_hang_on_everything(monkeypatch, tmp_path):
+def test_cells_are_those_of_their_subject_method_and_sources(monkeypatch, tmp_path):
     subject = SceneSubject("room", 0, 64, 36, 6, 30.0, (0.5,))
-    method = METHODS["gffe"]
-    keys = {cells.key_of(subject.identity(), method.identity())}
-    for other in (replace(subject, seed=1), replace(subject, alphas=(0.25,)), replace(subject, turns=(1.0,))):
-        keys.add(cells.key_of(other.identity(), method.identity()))
-    keys |= {cells.key_of(subject.identity(), m.identity()) for m in METHODS.values()}
+    others = (replace(subject, seed=1), replace(subject, alphas=(0.25,)), replace(subject, turns=(1.0,)))
+    keys = {cells.key_of(one.identity(), METHODS["gffe"].identity()) for one in (subject, *others)}
+    keys |= {cells.key_of(subject.identity(), method.identity()) for method in METHODS.values()}
     assert len(keys) == 3 + len(METHODS)
     for name in ("kernels", "sources"):
         with monkeypatch.context() as changed:
             changed.setattr(cells, name, lambda: "others")
-            assert cells.key_of(subject.identity(), method.identity()) not in keys
-    source = tmp_path / "warp.cl"
-    digests = [cells._digest([source]) for text in ("a", "b") if source.write_text(text)]
-    assert digests[0] != digests[1]
-    root = tmp_path / "sequence"
-    root.mkdir()
-    (root / "a.exr").write_bytes(b"1")
-    identities = [FolderSubject(str(root), 1).identity()]
-    (root / "a.exr").write_bytes(b"2")
-    identities.append(FolderSubject(str(root), 1).identity())
+            assert cells.key_of(subject.identity(), METHODS["gffe"].identity()) not in keys
+    identities = []
+    for content in (b"1", b"2"):
+        (tmp_path / "a.exr").write_bytes(content)
+        identities.append(FolderSubject(str(tmp_path), 1).identity())
     assert identities[0] != identities[1]
 
 
@@ -124,6 +96,17 @@ def test_eval(gffe, tmp_path, monkeypatch):
     assert again["cells"] == document["cells"]
 
 
+def test_eval_takes_seeds_and_a_network(gffe, tmp_path):
+    """A network that brightens all: the focus mask limits the harm."""
+    model = constant_model(tmp_path / "m.onnx", delta=0.05, mask=0.2)
+    options = ("--size", "64x36", "--frames", 4, "--seeds", 2, "--scn-model", model, "--out", tmp_path)
+    assert gffe("eval", "room", *options, "--methods", "no-scn,gffe,no-focus-mask,repeat")[0] == 0
+    results = json.loads((tmp_path / "results.json").read_text())
+    assert [sequence["name"] for sequence in results["sequences"]] == ["room:0", "room:1"]
+    means = {mean["method"]: mean["psnr"] for mean in results["means"]}
+    assert means["no-scn"] > means["gffe"] > means["no-focus-mask"] and means["no-scn"] > means["repeat"]
+
+
 def _same_as_compare(gffe, tmp_path, sequence, cell):
     """The figures of `gffe run` and `gffe compare`, where every frame that is measured here is."""
     run, report = tmp_path / "run", tmp_path / "compare.json"
@@ -140,6 +123,7 @@ def _same_as_compare(gffe, tmp_path, sequence, cell):
     ("arguments", "words"),
     [
         (("rom",), "neither a built-in scene"),
+        (("room:x",), "seed must be"),
         (("room", "room:0"), "two sequences have one name"),
         (("room", "--methods", "best"), "'best' is none of"),
         (("room", "--metrics", "vmaf"), "'vmaf' is none of fvvdp"),

@@ -11,11 +11,11 @@ from frame_models import network
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.engine.frame.transfer_function import linear_values, to_display
+from gffe_cl.engine.frame.transfer_function import to_display
 from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, RegionErrors, blurred, labels_of, masks, steps
 from gffe_cl.lab.table import baselines, results, videos
 from gffe_cl.lab.table.baselines import OnnxModel, OnnxRunner
-from gffe_cl.lab.table.footage import Guide, Moment, Shot, exact_parts, pixel_centers, turned
+from gffe_cl.lab.table.footage import Guide, Moment, Shot, exact_parts, pixel_centers
 from gffe_cl.lab.table.methods import chosen_methods
 
 W, H = 48, 32
@@ -105,28 +105,6 @@ def test_guided_extrapolation_uses_its_guide():
     assert not np.isnan(made).any()
 
 
-def test_sharp_samples_are_those_of_smooth_pictures():
-    """A monotonic parabola is met exactly; nothing overshoots an edge."""
-    parabola = (CENTERS[..., :1] ** 2).astype(np.float32)
-    place = CENTERS[4:-4, 4:-4] + np.float32((0.3, -0.4))
-    np.testing.assert_allclose(baselines.sample_sharp(parabola, place), place[..., :1] ** 2, rtol=1e-5)
-    edge = (CENTERS[..., :1] > 20).astype(np.float32)
-    sampled = baselines.sample_sharp(edge, place)
-    assert sampled.min() == 0 and sampled.max() == 1 and ((sampled > 0) & (sampled < 1)).any()
-
-
-def test_splat_keeps_the_nearest():
-    place = CENTERS.copy()
-    place[10, 10] = place[10, 20]
-    depth = np.full((H, W), 4.0, np.float32)
-    depth[10, 10] = 2.0
-    values = np.arange(H * W, dtype=np.float32).reshape(H, W, 1)
-    got, known = baselines.splat(place, depth, values)
-    assert got[10, 20, 0] == values[10, 10, 0] and not known[10, 10] and known.sum() == H * W - 1
-    filled = baselines.filled(got, known)
-    assert filled[10, 10, 0] in (got[9, 10, 0], got[11, 10, 0], got[10, 9, 0], got[10, 11, 0])
-
-
 # ---- networks ------------------------------------------------------------------------------------------------
 
 
@@ -164,11 +142,6 @@ def test_networks_of_another_contract_are_refused(tmp_path):
     for text, words in (("small", "expected NAME=FILE"), ("gffe=x.onnx", "a method's own")):
         with pytest.raises(GffeError, match=words):
             chosen_methods([], [text])
-
-
-def test_linear_values_undo_display_values():
-    shown = np.linspace(0, 1, 300, dtype=np.float32).reshape(10, 10, 3)
-    np.testing.assert_allclose(to_display(linear_values(shown, 2.5), 2.5), shown, atol=1e-6)
 
 
 # ---- regions, flicker, budget ----------------------------------------------------------------------------------
@@ -254,13 +227,6 @@ def test_budget_of_a_known_error():
     assert rows["out of screen"]["gain"] == pytest.approx(10, abs=1e-3) and rows["out of screen"]["pixels"] == 0.25
     assert rows["rest"]["gain"] == pytest.approx(-10 * math.log10(0.9), abs=1e-4)
     assert next(iter(results.budget(errors)))["region"] == "out of screen"
-
-
-def test_cameras_turn_to_the_right():
-    camera = turned(CAMERA, 10)
-    px, _ = camera.project((0, 0, 5))
-    assert px[0] == pytest.approx(W / 2 - 40 * math.tan(math.radians(10))) and px[1] == pytest.approx(H / 2)
-    assert turned(CAMERA, 0) is CAMERA
 
 
 def test_figures_are_those_of_the_reference_packages():

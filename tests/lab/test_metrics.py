@@ -8,7 +8,7 @@ import pytest
 
 from gffe_cl.engine.core.errors import GffeError, how_to_install
 from gffe_cl.lab import metrics
-from gffe_cl.lab.metrics import METRICS, RegionErrors, focus_mask, psnr, shading_regions, smape, ssim, to_display
+from gffe_cl.lab.metrics import METRICS, RegionErrors, focus_mask, psnr, ssim, to_display
 
 
 def test_display_values():
@@ -18,54 +18,23 @@ def test_display_values():
     expected = [[[0, 1, 0.7353569], [0, 1, 0], [1, 0, 12.92 * np.float32(color[0, 2, 2])]]]
     np.testing.assert_allclose(shown, expected, atol=1e-6)
     np.testing.assert_allclose(to_display([[[0.25, 0, 0]]], exposure=2.0)[0, 0, 0], 0.7353569, atol=1e-6)
-    assert np.isnan(color[0, 1, 0])  # the input is left as it was
 
 
-def test_psnr():
-    a = np.zeros((4, 5, 3), np.float32)
-    assert psnr(a, a) == 100.0
-    assert psnr(a, a + 1e-6) == 100.0
-    assert psnr(a, a + 0.1) == pytest.approx(20.0, abs=1e-5)
-    assert psnr(a, a + 0.01) == pytest.approx(40.0, abs=1e-4)
+def test_figures_that_are_known():
+    a, mask = np.zeros((4, 5, 3), np.float32), np.zeros((4, 5), np.float16)
+    assert psnr(a, a) == psnr(a, a + 1e-6) == 100.0 and psnr(a, a + 0.1) == pytest.approx(20.0, abs=1e-5)
     b = a.copy()
-    b[0, 0, 0] = 1
-    assert psnr(a, b) == pytest.approx(10 * np.log10(60))
-
-
-def test_psnr_mask():
-    a = np.zeros((4, 5, 3), np.float32)
-    b, mask = a.copy(), np.zeros((4, 5), np.float16)
     b[1, 2], mask[1, 2] = 0.1, 1
-    assert psnr(a, b, mask) == pytest.approx(20.0, abs=1e-5)
-    assert psnr(a, b, 1 - mask) == 100.0
-    assert np.isnan(psnr(a, b, np.zeros((4, 5))))
-
-
-def test_ssim():
-    rng = np.random.default_rng(1)
-    a = rng.random((16, 17, 3)).astype(np.float32)
-    assert ssim(a, a) == pytest.approx(1.0)
-    # flat images: only the luminance term (2ab + C1) / (a² + b² + C1) is left
-    flat = np.full((16, 17, 3), 0.5, np.float32)
+    assert psnr(a, b, mask) == pytest.approx(20.0, abs=1e-5) and psnr(a, b, 1 - mask) == 100.0
+    flat = np.full((16, 17, 3), 0.5, np.float32)  # only the luminance term (2ab + C1) / (a² + b² + C1) is left
     assert ssim(flat, flat * 0.5) == pytest.approx((0.25 + 1e-4) / (0.3125 + 1e-4), abs=1e-5)
-    assert ssim(a, 1 - a) < 0
-    assert np.isnan(ssim(a[:6], a[:6]))
-
-
-def test_smape():
-    a = np.array([[[1.0, 0, np.nan], [0, 0, 0]]], np.float16)
-    b = np.array([[[0.0, 0, 0], [0, 0, 0]]], np.float16)
-    out = smape(a, b)
-    assert out.shape == (1, 2)
-    np.testing.assert_allclose(out, [[2 / 1.01 / 3, 0]], rtol=1e-6)
-    np.testing.assert_allclose(smape(a, b, exposure=0.01)[0, 0], 0.02 / 0.02 / 3, rtol=1e-5)
 
 
 def test_focus_mask_is_where_a_shadow_has_moved():
     """A shadow a pixel off is forgiven, one further off is not; movers are never in focus."""
     color, truth, dynamic = np.ones((16, 32, 3)), np.ones((16, 32, 3)), np.zeros((16, 32), np.uint8)
     color[:, 8:14], truth[:, 9:15] = 0.2, 0.2
-    assert smape(color, truth).max() > 0.5 and not focus_mask(color, truth, dynamic).any()
+    assert not focus_mask(color, truth, dynamic).any()
     truth[:, 9:15], truth[:, 12:18] = 1, 0.2
     expected = np.zeros_like(dynamic)
     expected[:, 8:11], expected[:, 14:17] = 1, 1
@@ -141,14 +110,3 @@ def test_regions_are_pooled_over_images():
     same = RegionErrors()
     same.add(pairs[0][1], pairs[0][1], {"whole": masks[1]}, [METRICS["psnr"]])
     assert same.figure("psnr", "whole") == metrics.PSNR_CAP
-
-
-def test_regions_of_shading():
-    focus = np.array([[True, True, False, False]])
-    disoccluded = np.array([[True, False, True, False]])
-    regions = shading_regions(focus, disoccluded)
-    assert {name: mask.tolist() for name, mask in regions.items()} == {
-        "focus": [[False, True, False, False]],
-        "disoccluded": disoccluded.tolist(),
-        "whole": [[True] * 4],
-    }
