@@ -151,56 +151,32 @@ def progress_bars():
 
 
 class _Lines(Progress):
-    """Progress for a standard error that is no terminal: one line for each finished step. During a long step a line
-    appears every `_PERIOD` seconds, with an estimate once two units are done, because the first may include one-time
-    work such as building kernels. Commands shorter than `_SOON` seconds print none."""
+    """Progress for a standard error that is no terminal: one line for each finished step, and one every `_PERIOD`
+    seconds during a long step, with an estimate. Commands shorter than `_SOON` seconds print none."""
 
     _SOON, _PERIOD = 3.0, 10.0
 
     def __init__(self):
         super().__init__(console=err, disable=True)
         self._started = self._told = time.monotonic()
-        self._begun: dict[int, tuple[float, float]] = {}  # of tasks: when, and how much was done then
-        self._first: dict[int, tuple[float, float]] = {}  # the same, after the first unit
-        self._finished: set[int] = set()
-
-    def add_task(self, *arguments, **options):
-        task = super().add_task(*arguments, **options)
-        self._begun[task] = time.monotonic(), self._tasks[task].completed
-        return task
 
     def advance(self, task_id, advance=1):
         super().advance(task_id, advance)
-        self._tell(task_id)
+        self._tell(self._tasks[task_id])
 
     def update(self, task_id, **changes):
-        if "total" in changes:  # another step begins
-            self._begun[task_id] = time.monotonic(), changes.get("completed") or 0
-            self._finished.discard(task_id)
-            self._first.pop(task_id, None)
         super().update(task_id, **changes)
-        if "total" not in changes:
-            self._tell(task_id)
+        self._tell(self._tasks[task_id])
 
-    def _tell(self, task_id) -> None:
-        task, now = self._tasks[task_id], time.monotonic()
-        begun, before = self._begun[task_id]
-        if task.completed > before:
-            self._first.setdefault(task_id, (now, task.completed))
-        if not task.visible or not task.total or task_id in self._finished or now - self._started < self._SOON:
+    def _tell(self, task) -> None:
+        now = time.monotonic()
+        if not task.total or now - self._started < self._SOON:
             return
-        spent = now - begun
-        if task.completed >= task.total:
-            self._finished.add(task_id)
-            say(plain(f"{task.description}: {task.total:g} of {task.total:g}, {spent:.0f} s"))
-        elif now - self._told >= self._PERIOD:
-            since, first = self._first.get(task_id, (now, task.completed))
-            done = task.completed - first
-            left = f", about {(now - since) / done * (task.total - task.completed):.0f} s left" if done > 0 else ""
-            say(plain(f"{task.description}: {task.completed:g} of {task.total:g}, {spent:.0f} s{left}"))
-        else:
+        if not task.finished and now - self._told < self._PERIOD:
             return
-        self._told = now
+        self._told, remaining = now, task.time_remaining
+        left = "" if task.finished or remaining is None else f", about {remaining:.0f} s left"
+        say(plain(f"{task.description}: {task.completed:g} of {task.total:g}, {task.elapsed:.0f} s{left}"))
 
 
 def steps(progress: Progress):

@@ -119,7 +119,7 @@ def train(
             return
         count = complete_clips(data, seed, wanted)
         training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start)
-        bars.update(task, description="steps", total=steps, completed=training.step)
+        bars.reset(task, description="steps", total=steps, completed=training.step)
         steps_until = None if limit is None else max(started + limit, time.monotonic() + limit / 3)
         done = training.run(steps_until, lambda step: bars.update(task, completed=step))
     _export(training, folder, data, count, done, torch.__version__, json_path)

@@ -5,8 +5,6 @@ from __future__ import annotations
 import copy
 import hashlib
 import math
-import signal
-import threading
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
@@ -31,7 +29,7 @@ from gffe_cl.lab.training.quantization import quantize
 
 CHECKPOINT = "checkpoint.pt"
 _FORMAT = 4
-_CHECKPOINT_SECONDS = 120
+_CHECKPOINT_SECONDS = 30
 _VALIDATION_SHARE = 0.06  # of the clips
 _VALIDATION_CROPS = 96
 _CALIBRATION_STEPS = 24
@@ -173,29 +171,30 @@ class Training:
         """Train until all steps are done, or `time.monotonic()` passes `until`, but a step at least, and return whether
         all are done. `on_step` is called with the number of steps after each.
 
-        A checkpoint is written every two minutes and at the end, also when interrupted: SIGINT and SIGTERM wait for the
-        end of a step. Raises GffeError, and leaves the last checkpoint, if the loss is not finite.
+        A checkpoint is written every half minute and at the end, also when interrupted between two steps. Raises
+        GffeError, and leaves the last checkpoint, if the loss is not finite.
         """
         started = saved = time.monotonic()
         spent, first = self.seconds, self.step
         whole = True  # between two steps
         try:
-            with _signals() as received:
-                while self.step < self.recipe.steps:
-                    now = time.monotonic()
-                    self.seconds = spent + now - started
-                    if now - saved > _CHECKPOINT_SECONDS:
-                        self.save()
-                        saved = now
-                    if received or (until is not None and now > until and self.step > first):
-                        break
-                    whole = False
-                    self._train_step()
-                    self.step += 1
-                    whole = True
-                    on_step(self.step)
-            if received:
-                raise KeyboardInterrupt(f"step {self.step} is kept in {self.folder}")
+            while self.step < self.recipe.steps:
+                now = time.monotonic()
+                self.seconds = spent + now - started
+                if now - saved > _CHECKPOINT_SECONDS:
+                    self.save()
+                    saved = now
+                if until is not None and now > until and self.step > first:
+                    break
+                whole = False
+                self._train_step()
+                self.step += 1
+                whole = True
+                on_step(self.step)
+        except KeyboardInterrupt as interrupt:
+            if whole or (self.folder / CHECKPOINT).exists():
+                interrupt.add_note(f"the last checkpoint is in {self.folder}")
+            raise
         finally:
             if whole:
                 self.seconds = spent + time.monotonic() - started
@@ -358,23 +357,6 @@ def _read(path: Path, device: torch.device) -> dict:
     if state["format"] != _FORMAT:
         raise GffeError(f"{path}: checkpoint of format {state['format']}, expected {_FORMAT} (use another folder)")
     return state
-
-
-@contextmanager
-def _signals():
-    """Yield the list of SIGINT and SIGTERM received during the block, which have no other effect; in the main thread
-    only."""
-    received: list[int] = []
-    if threading.current_thread() is not threading.main_thread():
-        yield received
-        return
-    kinds = (signal.SIGINT, signal.SIGTERM)
-    before = [signal.signal(kind, lambda number, frame: received.append(number)) for kind in kinds]
-    try:
-        yield received
-    finally:
-        for kind, handler in zip(kinds, before, strict=True):
-            signal.signal(kind, handler)
 
 
 def split_crops(crops: list[Crop], seed: int) -> tuple[list[Crop], list[Crop]]:
