@@ -39,6 +39,7 @@ from gffe_cl import (
     named_channels,
     open_sequence,
 )
+from gffe_cl.captures.offline.run import run_sequence
 from gffe_cl.captures.offline.source import Live, Recorded
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.frame.window import WindowChooser
@@ -49,6 +50,7 @@ from gffe_cl.viewer.engine.engine import open_viewer_device
 from gffe_cl.viewer.engine.messages import Failure, Frame, Interrupted, Setup
 from gffe_cl.viewer.engine.sources.live import SceneSource
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
+from gffe_cl.viewer.engine.sources.stored import StoredSlots
 
 
 def test_every_layer_equals_a_plain_run(device):
@@ -81,21 +83,38 @@ def test_every_layer_equals_a_plain_run(device):
         assert min(milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
 
-def test_seeking_equals_playing(device):
-    """As long as the warm-up covers the whole past; else it starts eight frames before."""
-    setup = Setup(ALL, n=2)
-    sought = [(8, 1), (3, 2), (7, 1), (0, 1), (5, 2)]
-    expected = plain_run(device, frames(), setup, sought)
-    with running(device, source := Clip()) as engine:
-        for at in sought:
-            result = ask(engine, *slots(setup, at), setup, expected[at])
-            assert_same(result.images, expected[at])
+@pytest.mark.parametrize("with_cameras", [True, False])
+def test_every_slot_jumped_to_equals_the_run(device, tmp_path, with_cameras):
+    """All layers of 24 frames, in random order, are those that `gffe run` writes; cameras are given or predicted."""
+    sequence = write(tmp_path / "s", count=24, truth=with_cameras)
+    given = Recorded(sequence, device)
+    run_sequence(given, tmp_path / "out", device, Options(), [0.5], dump_stages=True, compression="none")
+    stored = StoredSlots(str(tmp_path / "out"), "")
+    with running(device, lambda d: RecordedSource(sequence, d)) as engine:
+        layers = ask(engine, 1, Setup()).specs.keys()
+        for slot in np.random.default_rng(0).permutation(48).tolist():
+            shown = ask(engine, slot, Setup(), layers)
+            written = stored.make(shown.key, frozenset(layers), engine.source, shown.specs).images
+            assert len(written) > (20 if slot % 2 else 0)
+            for name in written.keys() & shown.images.keys() - {"truth"}:
+                assert np.array_equal(shown.images[name], written[name], equal_nan=name != "final"), (slot, name)
+
+
+def test_a_distant_jump_shows_a_provisional_slot_first(device):
+    """It is made of the last few frames, and given in place of no other want than the one for the eye."""
+    engine_frames = [replace(frames()[k % 2], time=k / FPS, reset=k == 0) for k in range(60)]
+    source = Clip()
+    source.count, source.rendered = len(engine_frames), lambda k: source.asked.append(k) or engine_frames[k]
+    with running(device, source) as engine:
+        exact = want(engine, 101, Setup(), ("final",), preview=True)
+        engine.store.want([exact])
+        preview = wait_for(lambda: engine.store.get(exact.provisional))
+        assert preview.key.provisional and preview.moment.k == 50
+        result = wait_for(lambda: engine.store.get(exact))
+        assert not result.key.provisional and source.asked == [*range(42, 51), *range(51)]
         source.asked.clear()
-        ask(engine, *slots(setup, (13, 2)), setup)
-        assert source.asked == list(range(6, 14))  # at most eight ahead: goes on
-        ask(engine, *slots(setup, (0, 0)), setup)
-        ask(engine, *slots(setup, (11, 0)), setup)
-        assert source.asked[8:] == [0, *range(3, 12)]
+        ask(engine, 110, Setup(), ("final",))
+        assert source.asked == list(range(51, 56))  # goes on
 
 
 def test_nothing_before_a_reset_is_used(device):
@@ -522,7 +541,7 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
 # ---- sources ----------------------------------------------------------------------------------------------
 
 
-def write(folder, window=None, render_size=None, count=6):
+def write(folder, window=None, render_size=None, count=6, truth=True):
     """The clip as a sequence on disk with truth at α = 0.5; `window(k)` is what frame k is rendered through."""
     with SequenceWriter(folder, W, H, FPS) as writer:
         before = None
@@ -535,6 +554,8 @@ def write(folder, window=None, render_size=None, count=6):
                 f"frame_{k}.exr", k / FPS, "rendered", k == 0, render_size, through, display_camera=shown
             )
             writer.add(entry, named_channels(frame.color, frame.depth, frame.motion))
+            if not truth:
+                continue
             between = (k + 0.5) / FPS
             color = SCENE.color(pose(k + 0.5), between, W, H).astype(np.float16)
             writer.add(

@@ -29,6 +29,7 @@ from .sources.stored import StoredSlots, version_of
 from .store import Store, Want
 
 _CLOSE_SECONDS = 2.0
+_LONG = 32  # rendered frames to submit: for more of them a provisional slot is made first
 _ACTIVITIES = {"source": "opening", "kernels": "building kernels"}
 
 
@@ -260,7 +261,10 @@ class Engine:
     def _made(self, want: Want) -> Frame:
         if want.key.recipe.setup.place:
             return self._read(want)
-        frame = self._maker(want).make(want.key, want.layers)
+        for other in self.store.unseen():
+            if (maker := self._maker(other, want)).steps_to(other.key) > _LONG:
+                self.store.put(other.provisional, maker.make(other.provisional.key, other.layers))
+        frame = self._maker(want, want).make(want.key, want.layers)
         known = self.cuts.get(want.key.recipe, frozenset())
         if not frame.cuts <= known:
             self.cuts[want.key.recipe] = known | frame.cuts
@@ -283,12 +287,13 @@ class Engine:
         """Return a maker whose buffers hold all layers of that slot, which it makes first if need be."""
         maker = next((maker for maker in self._makers if maker.holds(want.key)), None)
         if maker is None:
-            maker = self._maker(want)
+            maker = self._maker(want, want)
             maker.make(want.key, want.layers, to_inspect=True)
         return maker
 
-    def _maker(self, want: Want) -> SlotMaker:
-        """Return the maker that is nearest to a slot, of those that hold no slot that is more urgent."""
+    def _maker(self, want: Want, at_work: Want) -> SlotMaker:
+        """Return the maker that is nearest to a slot, of those that hold no slot that is more urgent. It works for as
+        long as `at_work` comes first."""
         source = self.source
         assert source is not None
         above = self.store.above(want) - {want.key}
@@ -301,7 +306,7 @@ class Engine:
             free = [SlotMaker(self._device, own, self._kernels, self._check)]
             self._makers += free
         maker = min(free, key=lambda maker: (maker.steps_to(want.key), maker.used_at))
-        maker.check, self._maker_at_work = partial(self._check, want), maker
+        maker.check, self._maker_at_work = partial(self._check, at_work), maker
         return maker
 
     def _check(self, want: Want | None = None) -> None:

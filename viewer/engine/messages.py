@@ -44,10 +44,12 @@ class Recipe:
 
 @dataclass(frozen=True)
 class Key:
-    """Name of a slot's pictures: everything that they depend on."""
+    """Name of a slot's pictures: everything that they depend on. `provisional`: only the last few rendered frames were
+    submitted, not all since the last reset as in `gffe run`."""
 
     recipe: Recipe
     slot: int
+    provisional: bool = False
 
 
 @dataclass(frozen=True)

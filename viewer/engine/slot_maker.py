@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import itertools
-import math
 import time
 from collections import deque
 from collections.abc import Callable
@@ -46,7 +45,7 @@ from .messages import Frame, Interrupted, Key, Recipe
 from .reloading import Kernels
 from .sources.source import FrameSource
 
-WARM_UP = 8  # rendered frames submitted before the one that is wanted
+_WARM_UP = 8  # rendered frames submitted before the one of a provisional slot
 
 
 class Seeker:
@@ -73,6 +72,7 @@ class Seeker:
         self.stored: RenderedFrame | None = None  # the frame submitted last, as an engine stored it, ...
         self.converted: RenderedFrame | None = None  # ... and in our conventions
         self._at: int | None = None  # the frame submitted last
+        self._is_whole = False  # whether all frames since the last reset were submitted
         self._frame: RenderedFrame | None = None
         self._before: Camera | None = None  # render camera of the frame before
         self.passed: deque[Passed] = deque(maxlen=self.source.held)  # submitted frames, the newest first
@@ -91,25 +91,33 @@ class Seeker:
             self.cuts = set()
         self._options, self._versions = setup.options, versions
 
-    def steps_to(self, k: int) -> float:
-        """Return the rendered frames to submit until frame `k` is the last one; infinity if all begins anew."""
+    def continues_to(self, k: int, provisional: bool) -> bool:
+        """Return whether the pipeline can go on to frame `k`, for a provisional slot or an exact one."""
         at = self._at
-        return k - at if at is not None and at <= k <= at + WARM_UP else math.inf
+        return at is not None and at <= k and (k - at <= _WARM_UP if provisional else self._is_whole)
 
-    def go_to(self, k: int, alpha: float) -> list[str]:
-        """Submit the missing frames up to rendered frame `k`, with a new pipeline unless that is a little ahead.
-        Unreadable frames other than `k` are left out; returns messages about them."""
-        source, at = self.source, self._at
+    def frames_to(self, k: int, provisional: bool, continues: bool) -> range:
+        """Return the rendered frames to submit until frame `k` is the last one, by the pipeline as it is if that
+        `continues`, else by a new one."""
+        reset, at = self.source.reset_before(k), self._at
+        if continues and at is not None:
+            return range(max(at + 1, reset), k + 1)
+        return range(max(k - _WARM_UP, reset) if provisional else reset, k + 1)
+
+    def go_to(self, k: int, alpha: float, provisional: bool) -> list[str]:
+        """Submit the missing frames up to rendered frame `k`. Unreadable frames other than `k` are left out; returns
+        messages about them."""
+        source = self.source
         self.shot = None  # or an interruption would leave one of another slot
-        if at is not None and math.isfinite(self.steps_to(k)) and not source.outdated(k, alpha):
-            frames = range(max(at + 1, source.reset_before(k)), k + 1)
-        else:
-            frames = range(max(k - WARM_UP, source.reset_before(k), 0), k + 1)
+        continues = self.continues_to(k, provisional) and not source.outdated(k, alpha)
+        frames = self.frames_to(k, provisional, continues)
+        if not continues:
             self._restart()
         notes = []
         for done, m in enumerate(frames):
             self.progress = done, len(frames)
             self._check()
+            is_whole = self._is_whole or m == source.reset_before(m)
             try:
                 self._submit(m, last=m == k)
             except GffeError as error:
@@ -117,6 +125,7 @@ class Seeker:
                     raise
                 notes.append(f"rendered frame {m} is left out: {error}")
                 self._restart()
+            self._is_whole = is_whole
         self.progress = len(frames), len(frames)
         if self._presented is None:  # even with nothing to submit: an interruption may have come first
             self._presented = self._running.present()
@@ -250,11 +259,12 @@ class SlotMaker:
         """Return whether the pipeline's buffers are those of this slot."""
         return self._seeker.shot is not None and self.key == key
 
-    def steps_to(self, key: Key) -> float:
-        """Return the rendered frames to submit until a slot can be made; infinity if the pipeline starts anew."""
-        if self.key is None or not self.key.recipe.continues(key.recipe):
-            return math.inf
-        return self._seeker.steps_to(key.slot // (key.recipe.setup.n + 1))
+    def steps_to(self, key: Key) -> int:
+        """Return the number of rendered frames to submit until a slot can be made."""
+        k, seeker = key.slot // (key.recipe.setup.n + 1), self._seeker
+        continues = self.key is not None and self.key.recipe.continues(key.recipe)
+        continues = continues and seeker.continues_to(k, key.provisional)
+        return len(seeker.frames_to(k, key.provisional, continues))
 
     def make(self, key: Key, layers: frozenset[str], to_inspect: bool = False) -> Frame:
         """Return the computed slot. `to_inspect`: the pipeline's buffers are to hold all layers, whichever are asked
@@ -277,7 +287,7 @@ class SlotMaker:
     def _made(self, key: Key, layers: frozenset[str], k: int, alpha: float, start: float, to_inspect: bool) -> Frame:
         seeker, source = self._seeker, self.source
         seeker.prepare(key.recipe)
-        notes = seeker.go_to(k, alpha)
+        notes = seeker.go_to(k, alpha, key.provisional)
         pipeline = seeker.pipeline
         assert pipeline is not None  # `go_to` made it
         pipeline.keep(None if to_inspect else layers)

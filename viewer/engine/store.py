@@ -23,7 +23,7 @@ class Want:
 
     `keep`: it stays in the store for as long as there is room. `hold`: it is there for as long as it is wanted, even if
     there is no room. `pose`: display camera that is flown to that slot, a new one for each number of the recipe's
-    flight.
+    flight. `preview`: it is for the eye, so a provisional slot is made first where the exact one takes long.
     """
 
     key: Key
@@ -32,10 +32,16 @@ class Want:
     keep: bool = True
     hold: bool = True
     pose: Camera | None = field(default=None, compare=False)
+    preview: bool = field(default=False, compare=False)
 
     @property
     def subject(self) -> Subject:
         return self.key, self.layers, self.pixel
+
+    @property
+    def provisional(self) -> Want:
+        """The provisional slot in its place. Stored slots are always exact."""
+        return self if self.key.recipe.setup.place else replace(self, key=replace(self.key, provisional=True))
 
 
 @dataclass(frozen=True)
@@ -81,6 +87,7 @@ class Store:
         self.outdated = 0
         self.news = threading.Condition()
         self._wants: tuple[Want, ...] = ()
+        self._subjects: set[Subject] = set()  # of the wants, and of their previews
         self._held: dict[Subject, Frame | Inspection | Failure] = {}  # what was made of them, by subject
         self._kept: OrderedDict[Recipe, dict[int, Frame]] = OrderedDict()  # the latest used is the last
         self._in_use: frozenset[Recipe] = frozenset()
@@ -95,8 +102,9 @@ class Store:
             if tuple(wants) == self._wants:
                 return
             self._wants = tuple(wants)
-            subjects = {want.subject for want in self._wants}
-            self._held = {subject: made for subject, made in self._held.items() if subject in subjects}
+            previews = {want.provisional.subject for want in self._wants if want.preview}
+            self._subjects = previews.union(want.subject for want in self._wants)
+            self._held = {subject: made for subject, made in self._held.items() if subject in self._subjects}
             self.news.notify_all()
 
     def get(self, want: Want) -> Frame | Inspection | Failure | None:
@@ -152,6 +160,12 @@ class Store:
         with self.news:
             return next((want for want in self._wants if self._is_missing(want)), None)
 
+    def unseen(self) -> list[Want]:
+        """Return the wants that are not there, nor their provisional slots, the most urgent first."""
+        with self.news:
+            missing = (want for want in self._wants if want.preview and self._is_missing(want))
+            return [want for want in missing if want.provisional.subject not in self._held]
+
     def above(self, want: Want) -> set[Key]:
         """Return the slots of more urgent wants."""
         with self.news:
@@ -172,8 +186,9 @@ class Store:
         if want.key.recipe.source != self.source:
             return
         with self.news:
-            is_kept = isinstance(made, Frame) and want.keep and self._keep(want.key, made)
-            if want in self._wants:
+            may_keep = want.keep and not want.key.provisional
+            is_kept = isinstance(made, Frame) and may_keep and self._keep(want.key, made)
+            if want.subject in self._subjects:
                 if want.hold or isinstance(made, Failure):
                     self._held[want.subject] = made
                 elif not is_kept:
@@ -183,7 +198,7 @@ class Store:
     def open(self, source: int) -> None:
         """Drop everything; from now on slots of `source` are made."""
         with self.news:
-            self.source, self._wants, self._held = source, (), {}
+            self.source, self._wants, self._subjects, self._held = source, (), set(), {}
             self._kept.clear()
             self.nbytes = 0
             self.changes += 1

@@ -241,6 +241,7 @@ class Showing:
                 self._told.add(want)
                 self._fail(one, want is not picture.a)
         if not made or any(one is None for one in made):
+            self._preview(picture)
             return False
         first, second = made[0], made[1] if len(made) > 1 else None
         self.fault_of_b = second.error if isinstance(second, Failure) else ""
@@ -250,6 +251,21 @@ class Showing:
                 self.from_cache, self.shown = self._was_there, picture
                 contents.take(first, second)
         return True
+
+    def _preview(self, picture: Picture) -> None:
+        """Show the provisional slots of a picture if they are there."""
+        made = [self._store.get(want.provisional) for want in picture.wants if want.preview]
+        frames = [frame for frame in made if isinstance(frame, Frame)]
+        if frames and len(frames) == len(picture.wants):
+            self.from_cache = False
+            if frames[0] is not self._contents.result:
+                self._contents.take(*frames)
+
+    @property
+    def is_preview(self) -> bool:
+        """Whether provisional slots are shown until those of the awaited picture are made."""
+        result, awaited = self._contents.result, self.awaited
+        return result is not None and awaited is not None and awaited.a.preview and result.key.provisional
 
 
 _BUDGET = 0.02  # seconds per frame of the interface, but at least one image

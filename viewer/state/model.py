@@ -144,7 +144,8 @@ class Model:
             return
         self.contents.cuts = self.engine.cuts.get(self.recipe, frozenset())
         result = self.contents.result
-        ready = result.slot if result is not None and result.setup == self.setup else None
+        is_ready = result is not None and result.setup == self.setup and not self.showing.is_preview
+        ready = result.slot if result is not None and is_ready else None
         if ready == self.playback.shown_for(self.playback.slot):
             ready = self.playback.slot
         due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
@@ -169,8 +170,9 @@ class Model:
 
     @property
     def _passes(self) -> bool:
-        """Whether the picture changes by itself, or by dragging: then each one that is begun is shown."""
-        return self.playback.playing or self.playback.scrubbing or self.flying
+        """Whether the picture changes by itself, or by dragging: then each one that is begun is shown, of dragging at
+        least provisionally."""
+        return self.playback.playing or self.flying or (self.playback.scrubbing and not self.showing.is_preview)
 
     @property
     def _layers(self) -> frozenset[str]:
@@ -184,8 +186,9 @@ class Model:
 
         def want(recipe: Recipe, layers: frozenset[str]) -> Want:
             if flyer is not None:
-                return Want(Key(replace(recipe, flight=flyer.flight), slot), layers, keep=False, pose=flyer.pose)
-            return Want(Key(recipe, slot), layers)
+                key = Key(replace(recipe, flight=flyer.flight), slot, provisional=True)
+                return Want(key, layers, keep=False, pose=flyer.pose)
+            return Want(Key(recipe, slot), layers, preview=True)
 
         setup = self.choices.second
         if setup is None:
@@ -238,11 +241,12 @@ class Model:
         result, second = self.contents.result, self.contents.second
         assert result is not None
         self.document.failure = None
-        if self.choices.measuring:
+        if self.choices.measuring and not result.key.provisional:
             for made in filter(None, (result, second)):
                 self.measured.measure(made, self.source.exposure)
         self._upload()
-        self.timings.add(result)
+        if not self.showing.is_preview:
+            self.timings.add(result)
 
     def _upload(self) -> None:
         self.screen.update({self.view.a, self.view.b or self.view.a})
@@ -343,8 +347,8 @@ class Model:
         """Return what the picture waits for, in words."""
         if self.stopped:
             return "stopped: Ctrl+. goes on"
-        done, total = self.engine.progress
-        return f"rendered frame {done + 1} of {total} …" if done + 1 < total else "computing …"
+        (done, total), kind = self.engine.progress, "provisional picture: " if self.showing.is_preview else ""
+        return f"{kind}rendered frame {done + 1} of {total} …" if done + 1 < total else f"{kind}computing …"
 
     @property
     def busy(self) -> bool:
@@ -376,6 +380,8 @@ class Model:
     @property
     def current(self) -> bool:
         """Whether a still picture shows the playhead's slot, made with the present settings, kernels and frames."""
+        if self.showing.is_preview:
+            return False
         if self.contents.result is None or self.flying or self.playback.playing:
             return True
         return self.showing.shows_slot_due

@@ -101,7 +101,7 @@ class App:
         """Return whether the picture has not been the requested one for longer than that. Call once per frame of the
         interface."""
         model = self.model
-        if model.current or model.saving.work is not None:
+        if model.current or model.showing.is_preview or model.saving.work is not None:
             self._current_at = self.clock()
         return self.clock() - self._current_at > seconds
 

@@ -23,7 +23,6 @@ from .source import CACHE_BYTES, FrameSource
 
 _LEAST_RING = 3  # the pipeline uses two frames in place
 _TRUTHS = 4
-_PAST = 9  # rendered frames that a seek submits: only their poses can make the display outdated
 _LONGEST_GAP = 8.0  # rendered frames between two flown poses that are of one flight
 
 
@@ -101,15 +100,19 @@ class SceneSource(Live, FrameSource):
 
     def restart(self):
         super().restart()
-        self._since: list[_Made] = []  # delivered since then
+        self._before: _Made | None = None  # delivered last
+        self._seen: dict[int, Camera] = {}  # display cameras of the frames delivered since then
+        self._was_flown = False  # when one of them was delivered
 
     def outdated(self, k, alpha):
-        changed = [made for made in self._since if self.camera(made.k, 0.0) != made.frame.display_camera]
+        if not (self._flown or self._was_flown):
+            return False
+        changed = [(seen, camera) for seen, camera in self._seen.items() if self.camera(seen, 0.0) != camera]
         with self._lock:
-            for made in changed:
-                if made.k not in self._flown or (made.k, 0.0) == (k, alpha):
+            for seen, camera in changed:
+                if seen not in self._flown or (seen, 0.0) == (k, alpha):
                     return True
-                self._flown[made.k] = made.frame.shown_camera  # the new pose came too late
+                self._flown[seen] = camera  # the new pose came too late
         return False
 
     def fly(self, k: int, alpha: float, camera: Camera, flight: int) -> None:
@@ -159,9 +162,9 @@ class SceneSource(Live, FrameSource):
             return predict_camera(self._flown[start], self._flown[end], (at - end) / (end - start))
 
     def rendered(self, k):
-        before = self._since[-1] if self._since and self._since[-1].k == k - 1 else None
-        made = self._made(k, before)
-        self._since = [*self._since[1 - _PAST :], made]
+        before = self._before if self._before and self._before.k == k - 1 else None
+        self._before = made = self._made(k, before)
+        self._seen[k], self._was_flown = made.frame.shown_camera, self._was_flown or bool(self._flown)
         if made.rows is not None:
             self._frames.windows.observe(made.rows)
         return replace(made.frame, reset=before is None)
