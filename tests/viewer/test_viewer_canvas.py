@@ -31,11 +31,9 @@ from gffe_cl.viewer.picture.displays import (
     default_display,
     fitted,
 )
-from gffe_cl.viewer.picture.invalid import bad_values
 from gffe_cl.viewer.picture.shown_numbers import numbers_of
 from gffe_cl.viewer.picture.textures import texels_of
-from gffe_cl.viewer.picture.view import CLIPPING, INVALID_RENDERED, INVALID_SHOWN, View
-from gffe_cl.viewer.window.running import uncovered
+from gffe_cl.viewer.picture.view import CLIPPING, View
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))
@@ -242,52 +240,13 @@ def is_checkered(pixels):
 
 
 @pytest.mark.parametrize("spec", [COLOR, DEPTH, MOTION, SCALAR], ids=lambda spec: spec.view)
-def test_bad_values_are_counted_where_they_are_drawn(canvas, spec):
+def test_bad_values_are_checkered(canvas, spec):
     image = RNG.uniform(0.5, 3, (12, 10, max(len(spec.components), 1))).astype(np.float32)
     image[RNG.uniform(size=(12, 10)) < 0.2, 0] = np.nan
     image[RNG.uniform(size=(12, 10)) < 0.2, -1 if spec is MOTION else 0] = -np.inf
-    bad = bad_values(spec, image)
+    bad = np.isnan(image[..., 0]) if spec is DEPTH else ~np.isfinite(image).all(-1)  # depth below 0 is hatched
     made = shown(canvas, spec, image[..., 0] if spec in (SCALAR, DEPTH) else image)
-    if spec is DEPTH:
-        bad &= np.isnan(image[..., 0])  # below 0 is hatched
     assert (is_checkered(made) == bad).all() and 0 < bad.sum() < bad.size
-
-
-def with_masks(canvas, rendered, seen, generated=True):
-    canvas.frame = replace(canvas.frame, display_size=seen.shape[::-1], generated=generated)
-    for name, mask, grid in ((INVALID_RENDERED, rendered, "source"), (INVALID_SHOWN, seen, "target")):
-        canvas.upload(name, (255 * mask).astype(np.uint8), replace(MASK, grid=grid))
-
-
-def test_invalid_pixels_of_the_input_are_marked_in_every_layer(canvas):
-    rendered, seen = np.zeros((12, 16), bool), np.zeros((12, 16), bool)
-    rendered[3:5, 4:7], seen[6, 9:12] = True, True
-    with_masks(canvas, rendered, seen)
-    layers = {"final": seen, "frame.depth": seen, "rendered.depth": rendered, "truth": np.zeros_like(seen)}
-    for name, mask in layers.items():
-        spec = LayerSpec(name, name, "frame", "scalar", grid="source" if name.startswith("rendered") else "target")
-        canvas.upload(name, np.full((12, 16), 0.5, np.float32), spec)
-        view = View(name, Display(), center=(8, 6), zoom=3.0)
-        checkered = is_checkered(drawn(canvas, view, (48, 36)))
-        assert (checkered == mask.repeat(3, 0).repeat(3, 1)).all()
-        assert not is_checkered(drawn(canvas, replace(view, mark_invalid=False), (48, 36))).any()
-    view = View("final", Display(), "frame.depth", Display(), "difference", center=(8, 6), zoom=3.0)
-    assert (is_checkered(drawn(canvas, view, (48, 36))) == seen.repeat(3, 0).repeat(3, 1)).all()
-
-
-@pytest.mark.parametrize("at", [(0, 0), (101, 77), (200, 300)])
-def test_a_mark_does_not_depend_on_means_of_bytes(canvas, at):
-    """At a sixtieth of the size the mean of a single one is less than half a level of a byte."""
-    size = (301, 201)
-    canvas.frame = FrameInfo(size, generated=True)
-    seen = np.zeros(size[::-1], bool)
-    seen[at] = True
-    with_masks(canvas, seen, seen)
-    canvas.upload("final", np.full(size[::-1], 0.5, np.float32), replace(SCALAR, name="final"))
-    made = drawn(canvas, View("final", Display(), center=(150.5, 100.5), zoom=1 / 60), (5, 4))
-    assert is_checkered(made).any()
-    near = drawn(canvas, View("final", Display(), center=(150.5, 100.5), zoom=1.0), size)
-    assert is_checkered(near)[at] and is_checkered(near).sum() <= 16
 
 
 def test_two_layers_with_nan_do_not_agree(canvas):
@@ -791,43 +750,6 @@ def test_what_was_bound_stays_bound(canvas, context):
     framebuffer.clear(1, 0, 0, 1)
     assert framebuffer.read()[:3] == b"\xff\x00\x00"
     framebuffer.release()
-
-
-@pytest.mark.parametrize("compare", ["off", "split", "difference"])
-def test_a_window_shows_the_same_where_it_is_drawn_into(canvas, context, compare):
-    spec = LayerSpec("n", "N", "g", "color", components=tuple("RGB"))
-    size, window_size, origin = (40, 30), (64, 50), (9, 6)
-    canvas.frame = FrameInfo((12, 8))
-    for name in ("n", "m"):
-        canvas.upload(name, RNG.uniform(0, 1, (8, 12, 3)).astype(np.float32), replace(spec, name=name))
-    shown = {"a_display": Display(), "b": "m", "b_display": Display(), "split": 0.4, "line": 2.0}
-    view = View("n", center=(6.2, 3.9), zoom=4.5, compare=compare, **shown)
-    expected = read(canvas.draw(view, size))[..., :3]
-    window = context.simple_framebuffer(window_size, 4)
-    window.clear(1.0, 0.0, 1.0, 1.0)
-    clips = [(0, 5, 40, 12), (10, 12, 40, 21)]
-    canvas.draw_into(window, view, origin, size, clips)
-    pixels = np.frombuffer(window.read(components=3), np.uint8).reshape(*window_size[::-1], 3)[::-1]
-    window.release()
-    whole = np.full(pixels.shape, (255, 0, 255), np.uint8)
-    inside = whole[origin[1] : origin[1] + size[1], origin[0] : origin[0] + size[0]]
-    for left, top, right, bottom in clips:
-        inside[top:bottom, left:right] = expected[top:bottom, left:right]
-    if compare == "split":  # the line goes through the whole picture
-        inside[:, 15:17] = 255
-    np.testing.assert_array_equal(pixels, whole)
-
-
-def test_uncovered_rectangles_and_covers_are_the_whole():
-    covers = [(2, 1, 9, 4), (12, 1, 20, 4), (-3, 8, 5, 14), (4, 3, 7, 9)]
-    counted = np.zeros((12, 18), int)
-    for left, top, right, bottom in uncovered((18, 12), covers):
-        assert 0 <= left < right <= 18 and 0 <= top < bottom <= 12
-        counted[top:bottom, left:right] += 1
-    hidden = np.zeros_like(counted)
-    for left, top, right, bottom in covers:
-        hidden[max(top, 0) : bottom, max(left, 0) : right] = 1
-    np.testing.assert_array_equal(counted, 1 - hidden)
 
 
 # ---- a real pipeline -----------------------------------------------------------------------------------

@@ -30,12 +30,10 @@ from gffe_cl.viewer.engine.figures import (
     psnr_by_region,
     region_labels,
 )
-from gffe_cl.viewer.engine.invalid import seen_at, seen_through
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.store import Store, Want
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.displays import Display, FrameInfo
-from gffe_cl.viewer.picture.invalid import InvalidPixels
 from gffe_cl.viewer.picture.shown_numbers import largest
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.playback import Playback
@@ -214,28 +212,6 @@ def test_the_survey_finds_the_worst_frames():
     assert survey.next() == int(xs[ys.argmax()]), "more flicker is worse; another quantity starts anew"
     means, count = survey.means("psnr")
     assert count == 7 and means["A"] == pytest.approx(np.mean(list(a.values())))
-
-
-def test_invalid_pixels_are_seen_where_the_motion_leads():
-    rng = np.random.default_rng(3)
-    mask, motion = rng.integers(0, 8, (9, 14), np.uint8), rng.normal(0, 4, (7, 11, 2)).astype(np.float32)
-    motion[2, 3], motion[4, 5] = np.nan, np.inf
-    seen = seen_through(mask, motion)
-    for y, x in np.ndindex(seen.shape):
-        to = np.floor(motion[y, x] + (x + 0.5, y + 0.5))
-        inside = np.isfinite(to).all() and (to >= 0).all() and to[0] < 14 and to[1] < 9
-        assert seen[y, x] == (mask[int(to[1]), int(to[0])] if inside else 0)
-    seen = seen_at(mask, (5, 4), lambda x, y: (2 * x + 1, 2 * y - 2))
-    assert (seen[1:] == mask[1:6:2, 2:11:2]).all() and not seen[0].any(), "the row above the image is empty"
-
-
-def test_the_next_invalid_pixel_is_in_another_group():
-    view, contents = View("final", Display()), SimpleNamespace(result=None)
-    pixels = InvalidPixels(view, contents, Background("test"))
-    assert pixels.next(None) is None and pixels.text() == ""
-    pixels.places = np.array([(4, 1), (5, 1), (3, 2), (9, 2), (0, 7)])
-    assert [pixels.next(at) for at in (None, (4, 1), (9, 2), (0, 7))] == [(4, 1), (9, 2), (0, 7), (4, 1)]
-    assert pixels.text() == "5 invalid pixels"
 
 
 def test_means_of_both_are_over_the_slots_that_both_have():

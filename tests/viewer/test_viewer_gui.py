@@ -216,5 +216,5 @@ def test_walking_along_a_story(values):
 
 
 def test_color_bars(values):
-    assert values["covers"] == {"final": 2, "rendered.depth": 3, "rendered.motion": 3}
-    assert min(values["colors"].values()) > 50, "a ramp, and a wheel"
+    assert values["colors"]["final"] == 0
+    assert min(values["colors"][name] for name in ("rendered.depth", "rendered.motion")) > 50, "a ramp, and a wheel"

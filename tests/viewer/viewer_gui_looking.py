@@ -77,18 +77,16 @@ def overview(gui: Gui):
 def color_bars(gui: Gui):
     """Beside a map stands its ramp, with numbers."""
     model, values = gui.model, gui.values
-    covers, colors = {}, {}
+    colors = {}
     for name in ("final", "rendered.depth", "rendered.motion"):
         model.show_layer(name)
         gui.settle()
         gui.frames(2)
-        covers[name] = len(gui.app.spot.covers)
-        if covers[name] > 2:
-            left, top, right, bottom = gui.app.spot.covers[-1]
-            x, y = gui.app.spot.origin
-            bar = gui.window()[y + top : y + bottom, x + left : x + right]
-            colors[name] = len(np.unique(bar.reshape(-1, 3), axis=0))
-    values["covers"], values["colors"] = covers, colors
+        left, top, width, height = map(int, gui.area())
+        rows, columns = slice(height // 5, height // 2), slice(4 * width // 5, width)
+        drawn, picture = (image[rows, columns] for image in (gui.window()[top:, left : left + width], gui.picture()))
+        colors[name] = len(np.unique(drawn[(drawn[..., :3] != picture[..., :3]).any(-1)], axis=0))
+    values["colors"] = colors
 
 
 @case

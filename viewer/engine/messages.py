@@ -10,7 +10,6 @@ from gffe_cl.engine.frame.rendered_frame import BadPixels
 from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.options import Options
-from .invalid import Invalid
 
 
 @dataclass(frozen=True)
@@ -75,8 +74,6 @@ class Frame:
     warnings : tuple of str
     bad_pixels : BadPixels
         Of rendered frame k.
-    invalid : Invalid or None
-        Where those of them are that the pipeline cannot use; None if there are none, or if that is not known.
     cuts : frozenset of int
         Rendered frames that were found to be cuts so far.
     render_size : (width, height)
@@ -95,7 +92,6 @@ class Frame:
     readback_ms: float
     warnings: tuple[str, ...] = ()
     bad_pixels: BadPixels = field(default_factory=BadPixels)
-    invalid: Invalid | None = None
     cuts: frozenset[int] = frozenset()
     render_size: tuple[int, int] = (0, 0)
     buffers: tuple[str, ...] = ()

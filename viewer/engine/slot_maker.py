@@ -22,7 +22,6 @@ from gffe_cl.engine.inspection.buffers import (
     Moment,
     Shot,
     device_layers,
-    moved,
     pixel_values,
     read_layers,
     source_position,
@@ -40,7 +39,7 @@ from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.timing.bench import memory
 from gffe_cl.lab.metrics import focus_mask
-from .invalid import Invalid, fault_at, invalid_pixels, seen_at, seen_through
+from .invalid import INVALID, fault_at, invalid_pixels
 from .messages import Frame, Interrupted, Key, Recipe
 from .reloading import Kernels
 from .sources.source import FrameSource
@@ -219,7 +218,7 @@ class Seeker:
             )
         )
         self.bad_pixels = host.bad if self.stored and host else self._upload.take_bad_pixels() if host else BadPixels()
-        self.invalid = invalid_pixels(host) if host and last and self.bad_pixels else None
+        self.invalid = invalid_pixels(host, self.bad_pixels) if host and last else None
 
 
 class SlotMaker:
@@ -295,6 +294,8 @@ class SlotMaker:
         specs = layers_of(pipeline)
         if not source.has_truth:
             del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
+        if seeker.invalid is not None:
+            specs[INVALID.name] = INVALID
         stored, size, buffers = seeker.stored, source.render_size, ()
         if stored is None:
             del specs[names.UNDONE]
@@ -311,6 +312,8 @@ class SlotMaker:
         if stored is not None and names.UNDONE in wanted:
             assert seeker.converted is not None  # as it was stored
             images[names.UNDONE] = _changed_motion(stored, seeker.converted, source.format)
+        if seeker.invalid is not None and INVALID.name in wanted:
+            images[INVALID.name] = seeker.invalid
         if truth is not None and names.TRUTH in wanted:
             images[names.TRUTH] = _rgba(truth)
         if truth is not None and names.FOCUS_TRUTH in wanted:
@@ -326,22 +329,10 @@ class SlotMaker:
             readback_ms=readback_ms,
             warnings=(*source.warnings(), *notes),
             bad_pixels=seeker.bad_pixels,
-            invalid=self._invalid(shot),
             cuts=frozenset(seeker.cuts),
             render_size=size,
             buffers=buffers,
         )
-
-    def _invalid(self, shot: Shot) -> Invalid | None:
-        """Return where invalid pixels of the input are seen, None if there are none."""
-        mask, pipeline, moment = self._seeker.invalid, self._seeker.pipeline, shot.moment
-        if mask is None or pipeline is None:
-            return None
-        if moment.alpha:
-            motion = read_layers(pipeline, device_layers(pipeline, shot), [names.MOTION])[names.MOTION]
-            return Invalid(mask, seen_through(mask, motion))
-        place = lambda x, y: moved((x, y), moment.display_camera, moment.render_camera)  # noqa: E731
-        return Invalid(mask, seen_at(mask, (self.source.width, self.source.height), place))
 
     def _truth(self, k: int, alpha: float, notes: list[str]) -> np.ndarray | None:
         """Return the ground truth, None if there is none. A fault of it becomes a warning in `notes`, because the slot

@@ -17,25 +17,20 @@ import numpy as np
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import VIEWS, LayerSpec
-from gffe_cl.engine.stages.buffers import grid_of
 from gffe_cl.engine.stages.frame_block import reprojection
 from . import differences, displays
 from .displays import TONE_MAPS, Display, FrameInfo, Rgb, shown_as
 from .textures import Texture, texels_of
-from .view import CLIPPING, COMPARISONS, INVALID, INVALID_RENDERED, INVALID_SHOWN, OVERLAYS, Size, View
+from .view import CLIPPING, COMPARISONS, OVERLAYS, Size, View
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
 # of display.frag
-_VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID", "MARKED")
+_VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID")
 _MIXING = ("difference", "error")  # comparisons that need A and B at one place
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
 _RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
-_SAMPLERS = ("texels_a", "texels_b", *(f"rendered_{key}" for key in _RENDERED), "mask_a", "mask_b", "color_maps")
-_MARK = 3.0  # screen pixels that a mark is wide at least
+_SAMPLERS = ("texels_a", "texels_b", *(f"rendered_{key}" for key in _RENDERED), "color_maps")
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
-
-
-Rectangle = tuple[int, int, int, int]  # left, top, right, bottom, in pixels of the drawn picture
 
 
 @dataclass(frozen=True)
@@ -51,12 +46,11 @@ class Tile:
 
 @dataclass(frozen=True)
 class _Shown:
-    """A layer as the shader takes it; `variant`: its _OF_LAYER; `mask`: name of the mask of its invalid pixels."""
+    """A layer as the shader takes it; `variant`: its _OF_LAYER."""
 
     texture: Texture
     variant: tuple[int, int, int, int]
     uniforms: dict[str, Any]
-    mask: str = ""
 
 
 class _Program:
@@ -144,8 +138,6 @@ class Canvas:
             layer = self._layers[name] = Texture(self.ctx, texels)
         layer.texels.write(texels, alignment=1)
         layer.spec, layer.mipmaps, layer.frame = spec, 0, frame
-        layer.host = texels if name in INVALID else None
-        layer.drop_reduced()
         self._changes += 1
 
     @property
@@ -198,17 +190,6 @@ class Canvas:
         self._drawn.pop(target, None)
         return True
 
-    def draw_into(
-        self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size, clips: Iterable[Rectangle]
-    ) -> None:
-        """Draw `view` at `size` into a window, whose first row is the bottom one: the upper left corner at `origin`,
-        and only within `clips`, in the picture's pixels. The background around the display is left as it is."""
-        corner = origin[0], window.height - origin[1] - size[1]
-        with self.ctx.scope(window, moderngl.NOTHING):
-            whole, window.viewport = window.viewport, (*corner, *size)
-            self._draw(view, corner, window, tuple(clips), bottom_up=True)
-            window.viewport = whole
-
     def overview(
         self,
         tiles: Sequence[tuple[str, Display]],
@@ -256,28 +237,18 @@ class Canvas:
         self._targets[name] = self.ctx.framebuffer([texture])
         return self._targets[name]
 
-    def _draw(
-        self,
-        view: View,
-        corner: tuple[int, int],
-        framebuffer: moderngl.Framebuffer,
-        clips: Sequence[Rectangle] = (),
-        bottom_up: bool = False,
-    ) -> None:
+    def _draw(self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer) -> None:
         """Draw `view` into the framebuffer's viewport, which has its `corner` there and is full of background."""
         a, b = (view.a, view.a_display), (view.b, view.b_display)
         size = framebuffer.viewport[2:]
-        clips = clips or ((0, 0, *size),)
 
-        def draw(layers: Sequence[tuple[str | None, Display | None]], part: Rectangle) -> None:
-            parts = [overlap for clip in clips if (overlap := _overlap(part, clip)) is not None]
-            if not parts:
+        def draw(layers: Sequence[tuple[str | None, Display | None]], part: tuple[int, int, int, int]) -> None:
+            left, top, right, bottom = part
+            if left >= right or top >= bottom:
                 return
-            program = self._prepare(view, layers, corner, size, bottom_up)
-            for left, top, right, bottom in parts:
-                lowest = size[1] - bottom if bottom_up else top
-                framebuffer.scissor = corner[0] + left, corner[1] + lowest, right - left, bottom - top
-                program.triangle.render(moderngl.TRIANGLES, vertices=3)
+            program = self._prepare(view, layers, corner, size)
+            framebuffer.scissor = corner[0] + left, corner[1] + top, right - left, bottom - top
+            program.triangle.render(moderngl.TRIANGLES, vertices=3)
             whole: Any = None  # which the stub leaves out
             framebuffer.scissor = whole
 
@@ -300,29 +271,22 @@ class Canvas:
         layers: Sequence[tuple[str | None, Display | None]],
         corner: tuple[int, int],
         size: Size,
-        bottom_up: bool,
     ) -> _Program:
         """Return the program that draws two layers where the second is mixed with the first, else one, with its
         uniforms."""
         shown = [self._shown(name, display, view.zoom) for name, display in layers]
         contrast = self._grid_contrast(view, shown[0])
         compare = COMPARISONS.index(view.compare) if view.compare in _MIXING else 0
-        masks = [self._layers.get(layer.mask) if view.mark_invalid else None for layer in shown]
         program = self._program(
             *(n for layer in shown for n in layer.variant),
             compare,
             OVERLAYS.index(view.overlay),
             int(contrast > 0),
-            int(any(masks)),
         )
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
         rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
-        level = max(math.ceil(math.log2(_MARK / max(view.zoom, 1e-6))), 0)
-        for index, mask in enumerate(masks):
-            program.set(f"layer[{index}].", {"mask_size": mask.size if mask else (1, 1)})
-        largest = [mask and mask.largest(level) for mask in masks]
-        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values(), *largest)):
+        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values())):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
@@ -330,14 +294,12 @@ class Canvas:
         values |= {
             "corner": corner,
             "size": size,
-            "bottom_up": bottom_up,
             "grid_contrast": contrast,
             "difference": differences.DIFFERENCES.index(view.difference),
             "difference_high": self._difference_high(view, layers),
             "error_squared": view.error == "squared",
             "error_high": max(view.error_high, 1e-12),
             "residual_scale": max(view.residual_scale, 1e-6),
-            "mark_level": level,
         }
         program.set("", values)
         return program
@@ -417,12 +379,10 @@ class Canvas:
             "motion_scale": max(display.motion_scale, 1e-6) * (-1 if display.reverse else 1),
             "tint": display.tint,
             "label_flip": displays.label_flip(spec),
-            "mask_area": frame.source_area if grid_of(spec.grid).lies_on_source else frame.target_area,
         }
         tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0
         variant = VIEWS.index(view), int(smooth), min(channel, layer.components - 1), tone_map
-        mask = "" if frame.is_true(spec) else INVALID_RENDERED if grid_of(spec.grid).lies_on_source else INVALID_SHOWN
-        return _Shown(layer, variant, uniforms, mask)
+        return _Shown(layer, variant, uniforms)
 
 
 def read(texture: moderngl.Texture) -> np.ndarray:
@@ -452,8 +412,3 @@ def _grid(count: int, size: Size, picture: Size, caption: int, gap: int) -> list
     left = max((size[0] - best_columns * (width + gap) + gap) // 2, 0)
     steps = ((index % best_columns, index // best_columns) for index in range(count))
     return [(left + i * (width + gap), gap + j * (height + caption + gap), width, height) for i, j in steps]
-
-
-def _overlap(a: Rectangle, b: Rectangle) -> Rectangle | None:
-    left, top, right, bottom = max(a[0], b[0]), max(a[1], b[1]), min(a[2], b[2]), min(a[3], b[3])
-    return (left, top, right, bottom) if left < right and top < bottom else None

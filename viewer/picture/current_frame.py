@@ -120,10 +120,7 @@ class Contents:
         source, moment, rendered = self.source, result.moment, result.render_size
         area = area_of(moment.render_camera, rendered, moment.display_camera, self.size)
         cameras = moment.render_camera, moment.previous_camera
-        generated = moment.alpha > 0
-        return FrameInfo(
-            self.size, rendered, self.size, source.exposure, *cameras, source_area=area, generated=generated
-        )
+        return FrameInfo(self.size, rendered, self.size, source.exposure, *cameras, source_area=area)
 
 
 @dataclass(frozen=True)

@@ -5,7 +5,7 @@
 
    What the canvas shows is chosen by macros, because llvmpipe runs both sides of every branch. Of each layer: VIEW
    (-1: no such layer), SMOOTH (1: drawn smaller, with mipmaps), CHANNEL (-1: all), TONE_MAP; and COMPARE, OVERLAY,
-   GRID (1: there are lines between pixels), MARKED (1: pixels of the input are invalid). All else is uniforms. */
+   GRID (1: there are lines between pixels). All else is uniforms. */
 
 /* COLOR, TONE_ACES, MAP_HEAT, ERROR, SIGNED, EDGES and so on are the places in VIEWS (layers.py), TONE_MAPS and COLOR_MAPS
    (displays.py), COMPARISONS and OVERLAYS (view.py) and DIFFERENCES (differences.py): canvas.py defines them. */
@@ -30,20 +30,15 @@ struct Layer {
     float motion_scale;   /* negative: reversed */
     vec3 tint;
     int label_flip;       /* 15: the usual label is 15, not 0 */
-    vec4 mask_area;       /* as `area`, of the mask of invalid pixels ... */
-    ivec2 mask_size;      /* ... and its pixels */
 };
 
 uniform Layer layer[2];
 uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color;
-uniform sampler2DArray mask_a, mask_b;  /* invalid pixels of the input */
-uniform int mark_level;         /* a texel is the largest of 2^mark_level squared pixels, so that single ones are seen */
 uniform sampler2D color_maps;   /* a row each */
 uniform vec3 label_colors[16], sky, mask_off;
 uniform float wheel_center;
 
 uniform vec2 corner, size;      /* of what is drawn, in the framebuffer */
-uniform bool bottom_up;         /* the first row of the framebuffer is the bottom one, as in windows */
 uniform vec2 center, display_size;
 uniform float zoom;
 uniform vec3 background;
@@ -321,12 +316,6 @@ vec3 overlaid(const vec3 picture, const vec2 uv) {
     return mix(dimmed, hue_of(residual), share_of(residual, residual_scale));
 }
 
-/* Whether layer i shows an invalid pixel of the input. */
-bool marked(sampler2DArray mask, const int i, const vec2 uv) {
-    vec2 at = mix(layer[i].mask_area.xy, layer[i].mask_area.zw, uv);
-    return inside(at) && texelFetch(mask, ivec3(texel_at(at, layer[i].mask_size) >> mark_level, 0), 0).r > 0.0;
-}
-
 vec3 with_grid(const vec3 c, const vec2 uv) {
     if (GRID == 0 || !covers(0, uv)) return c;
     vec2 from_line = fract(uv_of(0, uv) * size_of(0)) * layer[0].texel;
@@ -337,7 +326,6 @@ vec3 with_grid(const vec3 c, const vec2 uv) {
 
 void main() {
     vec2 frag = gl_FragCoord.xy - corner;
-    if (bottom_up) frag.y = size.y - frag.y;
     vec2 uv = (center + (frag - 0.5 * size) / zoom) / display_size;
     vec3 c = background;
     if (inside(uv)) {
@@ -345,7 +333,6 @@ void main() {
         else if (COMPARE == ERROR) c = show_error(uv);
         else c = show(0, uv);
         c = overlaid(c, uv);
-        if (MARKED == 1 && (marked(mask_a, 0, uv) || (COMPARE != 0 && marked(mask_b, 1, uv)))) c = checker();
         c = with_grid(c, uv);
     }
     pixel = vec4(c, 1.0);

@@ -10,7 +10,6 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import NATIVE, LayerSpec
 from gffe_cl.engine.stages.buffers import Sizes, grid_of
 
@@ -159,7 +158,6 @@ class FrameInfo:
     target_size : of the extrapolated frame; None: as the display
     exposure : of the sequence
     source, previous : render cameras of the rendered frame shown and of the one before it, where known
-    generated : the slot is a generated frame, whose ground truth is another picture than what is shown
     source_area, target_area : the part (x0, y0, x1, y1) of the rendered and of the extrapolated image that covers the
         display, in fractions of their sides (see `area_of`)
     """
@@ -172,11 +170,6 @@ class FrameInfo:
     previous: Camera | None = None
     source_area: Area = (0.0, 0.0, 1.0, 1.0)
     target_area: Area = (0.0, 0.0, 1.0, 1.0)
-    generated: bool = False
-
-    def is_true(self, spec: LayerSpec) -> bool:
-        """Return whether a layer shows ground truth, on which invalid pixels of the input have no effect."""
-        return self.generated and spec.name in (names.TRUTH, names.FOCUS_TRUTH)
 
     def pixel_of(self, spec: LayerSpec, place: tuple[float, float]) -> tuple[int, int] | None:
         """Return the display pixel at `place`, in fractions of a layer's sides; None out of the display."""

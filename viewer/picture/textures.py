@@ -17,7 +17,6 @@ class Texture:
     """A layer on the GPU: (planes, H, W, components) texels."""
 
     def __init__(self, ctx: moderngl.Context, texels: np.ndarray):
-        self._ctx = ctx
         planes, height, width, self.components = texels.shape
         self.size, self.format = (width, height), (texels.shape, texels.dtype)
         dtype = _DTYPES[texels.dtype.name]
@@ -28,30 +27,8 @@ class Texture:
         self.mipmaps = 0  # levels of the present texels, besides themselves
         self.spec: LayerSpec | None = None
         self.frame: FrameInfo | None = None
-        self.host: np.ndarray | None = None  # the texels, of a mask that is reduced by its maximum
-        self._reduced: tuple[int, Texture] | None = None
-
-    def largest(self, level: int) -> Texture:
-        """Return a texture with the largest of each 2^level × 2^level texels of `host`. Mipmaps, which are means of
-        bytes as the driver rounds them, lose single ones."""
-        assert self.host is not None
-        if self._reduced is None or self._reduced[0] != level:
-            self.drop_reduced()
-            side, (height, width) = 1 << level, self.host.shape[1:3]
-            rows, columns = (np.arange(0, length, side) for length in (height, width))
-            made = np.maximum.reduceat(np.maximum.reduceat(self.host, rows, 1), columns, 2)
-            self._reduced = level, Texture(self._ctx, made)
-            self._reduced[1].texels.write(np.ascontiguousarray(made), alignment=1)
-        return self._reduced[1]
-
-    def drop_reduced(self) -> None:
-        """Release what `largest` has made."""
-        if self._reduced is not None:
-            self._reduced[1].release()
-        self._reduced = None
 
     def release(self) -> None:
-        self.drop_reduced()
         self.texels.release()
 
     def have_mipmaps(self, levels: int) -> None:

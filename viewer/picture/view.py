@@ -10,7 +10,6 @@ COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the cal
 OVERLAYS = ("none", "edges", "residual motion", "clipping")
 CLIPPING: dict[str, Rgb] = {"below 0": (0.1, 0.35, 1.0), "above white": (1.0, 0.15, 0.1)}
 ERRORS = ("absolute", "squared")
-INVALID = INVALID_RENDERED, INVALID_SHOWN = "invalid rendered", "invalid shown"  # layers: masks of invalid pixels
 
 Size = tuple[int, int]
 
@@ -31,7 +30,6 @@ class View:
         clipping marks colors of a by CLIPPING, as they are exposed
     grid : lines between pixels when zoomed in
     line : width of the wipe's line, screen pixels
-    mark_invalid : a pattern over pixels with NaN, infinity and what the input has invalid
     """
 
     a: str
@@ -51,7 +49,6 @@ class View:
     residual_scale: float = 4.0
     grid: bool = True
     line: float = 2.0
-    mark_invalid: bool = True
 
     def display_at(self, size: Size, x: float, y: float) -> tuple[float, float]:
         """Return the display position, in pixels, under the screen position (x, y) of a canvas of `size`."""

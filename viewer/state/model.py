@@ -19,7 +19,6 @@ from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Want
 from ..picture.current_frame import Picture, Screen, Showing
-from ..picture.invalid import InvalidPixels
 from ..picture.looks import Histogram
 from ..picture.shown_numbers import largest
 from .captions import Captions, Message
@@ -69,7 +68,6 @@ class Model:
         self.messages: list[Message] = []
         self.screen = Screen(self.contents)
         self.histogram = Histogram(self.view, self.contents, self.looks, beside)
-        self.invalid = InvalidPixels(self.view, self.contents, beside)
         self.showing = Showing(self.store, self.contents, self._fail)
         self.measured = Measurements(beside)
         self.survey = Survey(self.store, self.measured, self.playback)
@@ -152,7 +150,6 @@ class Model:
         self._take_values()
         if self.showing.update(due, self._passes and not self.stopped, self.screen.ready or result is None):
             self._shown()
-        self.invalid.update(canvas, self.playback.playing)
         if fault := self.comparison.update(canvas):
             self.say(fault, error=True)
         self.store.leave(sum(nbytes for name, nbytes in self.held.items() if name != "frames"))

@@ -7,7 +7,6 @@ import shutil
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -15,8 +14,7 @@ import numpy as np
 from imgui_bundle import ImVec2, imgui
 from imgui_bundle import portable_file_dialogs as dialogs
 
-from ..picture.canvas import Canvas, Rectangle
-from ..picture.view import View
+from ..picture.canvas import Canvas
 from ..state.actions import Actions
 from ..state.model import Model
 from ..state.navigation import Flight
@@ -30,18 +28,6 @@ def has_dialogs() -> bool:
     """Return whether the system has a dialog for folders that can be opened."""
     programs = ("zenity", "kdialog", "matedialog", "qarma")
     return not sys.platform.startswith("linux") or any(map(shutil.which, programs))
-
-
-@dataclass
-class Spot:
-    """Place of the picture in the window: `origin` in the window's pixels; `covers`, rectangles in the picture's own
-    pixels that other content covers; `hovered`: by the mouse."""
-
-    view: View
-    origin: tuple[int, int]
-    size: tuple[int, int]
-    covers: list[Rectangle]
-    hovered: bool
 
 
 class App:
@@ -61,8 +47,6 @@ class App:
         Called with the window, (H, W, 3) uint8, when the present frame is drawn, once.
     closing : bool
         Whether the window is to be closed.
-    spot : Spot or None
-        Set with each frame of the interface; None where more than the picture changes, or where something lies over it.
     foot : tuple or None
         Middle of the picture's lower edge, screen pixels.
     """
@@ -81,7 +65,6 @@ class App:
         self._dropped: list[str] = []
         self._dialog: Any = None
         self._chosen: Callable[[str], object] = model.open  # what takes the path of the dialog
-        self.spot: Spot | None = None
         self.foot: tuple[float, float] | None = None
         self.canvas_size: tuple[int, int] = (0, 0)  # screen pixels
         self.drags, self.pressed_at = "nothing", ImVec2()  # by the mouse, in the picture

@@ -81,11 +81,6 @@ def has_truth(app: App) -> str | None:
     return opened(app) or app.model.contents.why_not("truth")
 
 
-def has_invalid(app: App) -> str | None:
-    found = app.model.invalid.count
-    return opened(app) or (None if found else "no NaN, infinity or invalid input in this picture")
-
-
 def has_left(app: App) -> str | None:
     return opened(app) or (None if app.model.walk.can_go_back else "no link was followed")
 
@@ -164,9 +159,6 @@ ACTIONS = (
     Action("next_channel", "Next channel", "View", "C", lambda app: _look(app, "next_channel"), opened),
     Action("overview", "Overview of all layers", "View", "O",
            lambda app: _toggle(app.model.choices, "overview"), opened, lambda app: app.model.choices.overview),
-    Action("mark_invalid", "Mark invalid pixels", "View", "", lambda app: _toggle(app.model.view, "mark_invalid"),
-           checked=lambda app: app.model.view.mark_invalid,
-           tooltip="A pattern over NaN, infinity, and pixels that the input has invalid"),
     Action("brighter", "Brighter", "View", "E", lambda app: _look(app, "expose", _EXPOSURE_STEP), opened),
     Action("darker", "Darker", "View", "Shift+E", lambda app: _look(app, "expose", -_EXPOSURE_STEP), opened),
     Action("normalize", "Fit range to the picture", "View", "N", lambda app: _look(app, "fit"), opened),
@@ -212,9 +204,6 @@ ACTIONS = (
                checked=lambda app, name=name: app.model.survey.quantity == name)
         for name, quantity in QUANTITIES.items()
     ),
-    Action("next_invalid", "Next invalid pixel", "Find", "Shift+N",
-           lambda app: app.model.walk.go_to_pixel(app.model.invalid.next(app.model.pointing.picked)), has_invalid,
-           tooltip="NaN, infinity, and pixels that the input has invalid; row by row"),
     Action("back", "Back to where the link was", "Find", "Backspace", lambda app: app.model.walk.back(), has_left),
     Action("fly", "Fly the camera", "Camera", "G", lambda app: app.model.flights.toggle(), live,
            lambda app: app.model.flying,

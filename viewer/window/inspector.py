@@ -12,7 +12,6 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
 from gffe_cl.engine.inspection.layers import LayerSpec
-from ..picture.invalid import bad_values
 from ..state.captions import value_text
 from ..state.model import Model
 from . import widgets
@@ -137,8 +136,13 @@ def rows_of(layers: Iterable[LayerSpec], inspection: Inspection) -> list[Row]:
 
 
 def _is_bad(spec: LayerSpec, values: np.ndarray) -> bool:
-    """Return whether the values (planes?, channels) of a pixel hold NaN or infinity."""
-    return bool(bad_values(spec, np.reshape(values, (-1, 1, np.shape(values)[-1]))).any())
+    """Return whether the values (planes?, channels) of a pixel hold NaN or infinity. Infinite depth is sky, and of a
+    position or a sum whose fourth value is 0 nothing is known."""
+    if values.dtype.kind != "f" or spec.view in ("mask", "label"):
+        return False
+    sky = np.isposinf(values) if spec.view == "depth" else False
+    known = values[..., 3:4] != 0 if spec.view == "world" or spec.components[3:] == ("weight",) else True
+    return bool((~np.isfinite(values) & ~np.asarray(sky) & known).any())
 
 
 def _story(model: Model, story: Story) -> None:

@@ -8,14 +8,13 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.engine.inspection import names
-from ..picture.canvas import Rectangle
 from ..picture.shown_numbers import Numbers, numbers_of, texels
 from ..picture.view import View
 from ..state.captions import layer_text
 from ..state.model import Model
 from ..state.presets import told
 from . import widgets
-from .app import App, Spot
+from .app import App
 
 _ZOOM_STEP = 1.2
 _DRAG = 4.0  # screen pixels: less is a click
@@ -35,7 +34,6 @@ _STILL_FRESH = 0.15  # ... for so many seconds: less would flicker
 
 def draw(app: App) -> None:
     model = app.model
-    app.spot = None
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
@@ -61,7 +59,6 @@ def draw(app: App) -> None:
     )
     place = Placement(model, origin, (width, height))
     _mouse(app, place)
-    hovered = imgui.is_item_hovered()
     marks = imgui.get_window_draw_list()
     marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
     stale = app.stale_for(_STILL_FRESH)
@@ -69,14 +66,12 @@ def draw(app: App) -> None:
         marks.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), imgui.get_color_u32(_GRAY))
     if model.choices.arrows:
         _arrows(model, place, marks)
-    marked = _numbers(model, view, place, marks)
+    _numbers(model, view, place, marks)
     _way(model, place, marks)
     _trajectory(model, place, marks)
     marks.pop_clip_rect()
-    covers = _caption(model, origin, width, height, marks)
-    covers += _bars(model, origin, width, height, marks)
-    if not (marked or stale or model.choices.arrows or model.flying or model.pointing.picked):
-        app.spot = Spot(view, (int(origin.x), int(origin.y)), (width, height), covers, hovered)
+    _caption(model, origin, width, height, marks)
+    _bars(model, origin, width, height, marks)
 
 
 class Placement:
@@ -179,14 +174,14 @@ def _arrows(model: Model, place, marks) -> None:
                 marks.add_triangle_filled(end, *tips, color)
 
 
-def _numbers(model: Model, view: View, place, marks) -> bool:
-    """Write the numbers of the picture into its pixels, where these are large enough; return whether any are."""
-    shown = [_written(numbers, place, marks) for numbers in numbers_of(view, model.contents, model.comparison.flip_map)]
-    return any(shown)
+def _numbers(model: Model, view: View, place, marks) -> None:
+    """Write the numbers of the picture into its pixels, where these are large enough."""
+    for numbers in numbers_of(view, model.contents, model.comparison.flip_map):
+        _write(numbers, place, marks)
 
 
-def _written(numbers: Numbers, place, marks) -> bool:
-    """Write numbers into the pixels of their part of the picture, and return whether these are large enough."""
+def _write(numbers: Numbers, place, marks) -> None:
+    """Write numbers into the pixels of their part of the picture, where these are large enough."""
     grid = numbers.grid
     (height, width), scale, start = grid.image.shape[:2], grid.scale, grid.start
     from_x, to_x = (place.origin.x + share * place.size[0] for share in numbers.part)
@@ -201,7 +196,7 @@ def _written(numbers: Numbers, place, marks) -> bool:
     lines = min(numbers.of(np.zeros(1, int), np.zeros(1, int)).shape[1], _VALUES)
     size = min(imgui.get_font_size(), wide / (_LETTERS_WIDE * _LETTER + 0.3), high / (lines + 0.3))
     if size < _LEAST_LETTERS * widgets.mark_unit() or not (len(rows) and len(columns)):
-        return False
+        return
     ink, shade = imgui.get_color_u32((1, 1, 1, 1)), imgui.get_color_u32((0, 0, 0, 0.8))
     font, letters, edge = imgui.get_font(), int((wide / size - 0.3) / _LETTER), 0.15 * size
     marks.push_clip_rect(ImVec2(from_x, place.origin.y), ImVec2(to_x, place.origin.y + place.size[1]), True)
@@ -212,7 +207,6 @@ def _written(numbers: Numbers, place, marks) -> bool:
         for offset, color in ((1, shade), (0, ink)):
             marks.add_text(font, size, ImVec2(at.x + edge + offset, at.y + edge + offset), color, text)
     marks.pop_clip_rect()
-    return True
 
 
 def short(value: float, letters: int) -> str:
@@ -266,15 +260,12 @@ def _way(model: Model, place, marks) -> None:
             imgui.set_tooltip(f"rendered frame {point.k}: ({point.px[0]:.1f}, {point.px[1]:.1f})")
 
 
-def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
-    """Write layer names and changed display settings into the corners. Returns their rectangles, in the picture's
-    pixels."""
-    view, covers = model.view, []
+def _caption(model: Model, origin, width, height, marks) -> None:
+    """Write layer names and changed display settings into the corners."""
+    view = model.view
 
     def label(text: str, x: float, y: float, right: bool = False) -> None:
-        left, top, end, bottom = widgets.label(marks, text, origin.x + x, origin.y + y, right)
-        inside = left - origin.x, top - origin.y, end - origin.x + 1, bottom - origin.y + 1
-        covers.append(tuple(map(int, inside)))
+        widgets.label(marks, text, origin.x + x, origin.y + y, right)
 
     line = hello_imgui.em_size(1.6)
     if height < 2.6 * line:
@@ -292,8 +283,8 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
     else:
         label(_layer_text(model, view.a), 10, 8)
     kind = f"{model.captions.frame}   {view.zoom * 100:.0f} %"
-    if found := model.invalid.text():
-        kind += f"   {found} (Shift+N)"
+    if (result := model.contents.result) is not None and (bad := result.bad_pixels):
+        kind += f"   {bad.color + bad.depth + bad.motion + bad.long} invalid pixels of the input"
     label(kind, 10, height - line)
     state = model.comparison.scale_text()
     if not (model.comparison.ready and model.current) or (model.busy and not model.playback.playing):
@@ -310,16 +301,15 @@ def _caption(model: Model, origin, width, height, marks) -> list[Rectangle]:
         text = widgets.cut(state, width - 24)
         if height > (6 + number) * line:
             label(text, (width - imgui.calc_text_size(text).x) / 2, (1.6 + 1.2 * number) * line)
-    return covers
 
 
-def _bars(model: Model, origin, width: int, height: int, marks) -> list[Rectangle]:
-    """Draw a color bar with numbers and unit for each map, at the picture's right edge, of A in a wipe at its left one.
-    Returns their rectangles, in the picture's pixels."""
-    em, covers = hello_imgui.em_size(), []
+def _bars(model: Model, origin, width: int, height: int, marks) -> None:
+    """Draw a color bar with numbers and unit for each map, at the picture's right edge, of A in a wipe at its left
+    one."""
+    em = hello_imgui.em_size()
     top, high = 2.4 * em, min(height - 6.5 * em, 11 * em)
     if high < 4 * em or width < 20 * em:
-        return covers
+        return
     for entry in model.captions.legends():
         shown = entry.legend
         left = entry.title.startswith("A  ")
@@ -327,13 +317,11 @@ def _bars(model: Model, origin, width: int, height: int, marks) -> list[Rectangl
         draw = {"ramp": widgets.vertical_bar, "wheel": widgets.small_wheel}.get(shown.kind)
         if draw is None:
             continue
-        x0, y0, x1, y1 = draw(marks, shown, at, high, right=not left)
-        covers.append(tuple(map(int, (x0 - origin.x, y0 - origin.y, x1 - origin.x + 1, y1 - origin.y + 1))))
+        _, y0, _, y1 = draw(marks, shown, at, high, right=not left)
         top += 0 if left else y1 - y0 + 0.5 * em
         high = min(high, height - top - 4 * em)
         if high < 4 * em:
             break
-    return covers
 
 
 def _layer_text(model: Model, name: str) -> str:

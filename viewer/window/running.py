@@ -1,16 +1,15 @@
-"""The window: it is opened, and one frame of the interface is drawn after the other; keyboard and mouse; and frames
-that redraw the picture alone."""
+"""The window: it is opened, and one frame of the interface is drawn after the other; keyboard and mouse."""
 
 from __future__ import annotations
 
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from typing import Any
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, immapp, implot  # before glfw
 
-from ..picture.canvas import Canvas, Rectangle
+from ..picture.canvas import Canvas
 from ..state.actions import IMGUI_KEYS, Actions
 from ..state.model import Model
 from ..state.navigation import Flight
@@ -61,7 +60,6 @@ class _Window:
         self._app, self._params = app, hello_imgui.RunnerParams()
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self._may_idle = True  # where nothing happens, frames are drawn seldom
-        self._picture_frames = PictureFrames(app)
         self._told: tuple[int, int] | None = None  # the inspector's pixel
         self._layers_known: list = []  # those that have actions
 
@@ -99,8 +97,6 @@ class _Window:
 
     def _before_swap(self) -> None:
         app = self._app
-        if app.clock is time.perf_counter and not app.captures:
-            self._picture_frames.allow(app.stack.covers)
         if not app.captures:
             return
         wanted, app.captures = app.captures, []
@@ -133,7 +129,6 @@ class _Window:
             apply_theme(*self._themed)
         app.docks.update()
         if app.clock is time.perf_counter:
-            self._picture_frames.show()
             # drawing just before the next slot is due would delay it
             time.sleep(min(model.playback.rest(app.clock()), _LONGEST_REST))
         model.update(app.clock(), app.canvas)
@@ -169,7 +164,6 @@ class _Window:
         app.stack.draw()
         status.progress(app)
         status.messages(app)
-        self._picture_frames.look_for_input()
         if app.on_frame is not None:
             app.on_frame(app)
 
@@ -228,89 +222,3 @@ def flight(model: Model) -> Flight | None:
     turning = imgui.is_mouse_down(imgui.MouseButton_.right)
     dx, dy = (io.mouse_delta.x, io.mouse_delta.y) if turning else (0.0, 0.0)
     return Flight(move, 4.0 if io.key_shift else 1.0, _TURN * dx, _TURN * dy)
-
-
-# ---- frames of the picture alone ----------------------------------------------------------------------------------
-
-_INTERFACE = 1 / 12  # seconds between frames of the whole interface
-_AFTER_INPUT = 0.3  # seconds in which the whole interface follows keys and mouse
-
-
-class PictureFrames:
-    """Drawing of the picture alone, between two frames of the interface.
-
-    It is used only where a CPU draws the window (Mesa's llvmpipe). There the interface costs more than the picture, and
-    a swap of buffers keeps the window's contents, which other drivers do not promise. After input from keyboard or
-    mouse every frame draws the whole interface.
-    """
-
-    def __init__(self, app: App):
-        self._app = app
-        self._allowed = False
-        self._drawn_at = self._input_at = 0.0
-
-    def look_for_input(self) -> None:
-        """Note input from keyboard and mouse. Call within a frame of the interface."""
-        io = imgui.get_io()
-        moved = io.mouse_delta.x or io.mouse_delta.y or io.mouse_wheel or io.mouse_wheel_h
-        if moved or imgui.is_any_mouse_down() or imgui.is_any_item_active() or io.key_mods or io.want_text_input:
-            self._input_at = self._app.clock()
-
-    def allow(self, covered: bool) -> None:
-        """Decide whether frames of the picture alone may follow. Call when a frame of the interface is drawn.
-        `covered`: whether a window lies over the panels."""
-        app, io = self._app, imgui.get_io()
-        self._drawn_at = now = app.clock()
-        scaled = io.display_framebuffer_scale.x != 1.0 or io.display_framebuffer_scale.y != 1.0
-        self._allowed = (
-            app.spot is not None
-            and "llvmpipe" in app.canvas.ctx.info["GL_RENDERER"]
-            and app.model.playback.playing
-            and not (scaled or covered)
-            and (app.spot.hovered or not imgui.is_any_item_hovered())  # tooltips may reach over the picture
-            and now - self._input_at > _AFTER_INPUT
-        )
-
-    def show(self) -> None:
-        """Continue playback until the interface is due or playback stops."""
-        app = self._app
-        while self._allowed:
-            rest = app.model.playback.rest(app.clock())
-            if app.clock() + rest > self._drawn_at + _INTERFACE:
-                return
-            time.sleep(rest)
-            before = app.model.contents.changes
-            app.model.update(app.clock(), app.canvas)
-            if not app.model.playback.playing:
-                return
-            if app.model.contents.changes == before:
-                time.sleep(0.001)
-                continue
-            self._draw()
-
-    def _draw(self) -> None:
-        import glfw
-        from imgui_bundle import glfw_utils
-
-        spot, canvas = self._app.spot, self._app.canvas
-        assert spot is not None
-        canvas.draw_into(
-            canvas.ctx.detect_framebuffer(0), spot.view, spot.origin, spot.size, uncovered(spot.size, spot.covers)
-        )
-        window: Any = glfw_utils.glfw_window_hello_imgui()
-        glfw.swap_buffers(window)
-
-
-def uncovered(size: tuple[int, int], covers: list[Rectangle]) -> Iterator[Rectangle]:
-    """Yield rectangles that together are the image of `size` without `covers`."""
-    width, height = size
-    edges = sorted({0, height, *(min(max(y, 0), height) for cover in covers for y in cover[1::2])})
-    for top, bottom in zip(edges, edges[1:], strict=False):
-        left = 0
-        for cover in sorted(covers):
-            if cover[1] < bottom and top < cover[3] and cover[2] > left:
-                if cover[0] > left:
-                    yield left, top, min(cover[0], width), bottom
-                left = cover[2]
-        if left < width:
-            yield left, top, width, bottom

@@ -271,13 +271,12 @@ def swatches(labels: tuple[tuple[str, Rgb], ...]) -> None:
         imgui.text_wrapped(text) if width > room else imgui.text(text)
 
 
-def label(marks, text: str, x: float, y: float, right: bool = False) -> tuple[float, float, float, float]:
-    """Write text on a dark ground; return the ground's left, top, right and bottom, window's pixels."""
+def label(marks, text: str, x: float, y: float, right: bool = False) -> None:
+    """Write text on a dark ground."""
     size = imgui.calc_text_size(text)
     x = x - size.x if right else x
-    ground = _ground(marks, x, y, size.x, size.y)
+    _ground(marks, x, y, size.x, size.y)
     marks.add_text(ImVec2(x, y), imgui.get_color_u32((1, 1, 1, 0.95)), text)
-    return ground
 
 
 def _ground(marks, x: float, y: float, width: float, height: float) -> tuple[float, float, float, float]:
