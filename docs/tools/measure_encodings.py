@@ -20,9 +20,9 @@ from pathlib import Path
 import numpy as np
 from pages import MEASURED, table, write_tables
 
-from gffe_cl.captures.formats.flow import static_motion
 from gffe_cl.captures.scenes import SCENES, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence.encoding import EXACT, Encoding
+from gffe_cl.captures.sequence.engine_form import static_motion
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device, open_device

@@ -178,7 +178,7 @@ def open_source(
 
 
 def _print_report(report: RunReport, output: Path) -> None:
-    from gffe_cl.captures.sequence.read_ahead import usable_cores
+    from gffe_cl.captures.sequence.reader import usable_cores
 
     for warning in report.warnings:
         warn(warning)

@@ -9,7 +9,7 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from gffe_cl.captures.sequence import FrameEntry, Sequence
-from gffe_cl.captures.sequence.read_ahead import read_ahead
+from gffe_cl.captures.sequence.reader import read_ahead
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import is_shown_whole
 from gffe_cl.engine.opencl.device import Device

@@ -107,7 +107,7 @@ def described():
 
 
 # How much worse than exact frames new ones may be, dB, where it is more than half a decibel: colors differ from truth.
-LOSSES = {"taa": 6, "game": 6, "noisy-camera": 1.5, "engine": 2, "grain": 1}
+LOSSES = {"taa": 6, "game": 6, "noisy-camera": 1.5, "engine": 2}
 ENCODED = {name: Stored(encoding=name, loss=LOSSES.get(name, 0.5)) for name in (*PRESETS, *PARTS)}
 INPUTS = ENCODED | dict(described())
 

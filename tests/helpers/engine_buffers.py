@@ -5,7 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.captures.sequence.post_effects import nearest_motion
+from gffe_cl.captures.sequence.encoding import nearest_motion
 
 FAR = 1e9  # stands for sky, which only turns
 

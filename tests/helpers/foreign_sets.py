@@ -4,7 +4,7 @@ import numpy as np
 from foreign import write_exr
 
 from gffe_cl import Camera
-from gffe_cl.captures.formats.flow import static_motion
+from gffe_cl.captures.sequence.engine_form import static_motion
 
 
 def unreal_axes(pitch, yaw, roll):

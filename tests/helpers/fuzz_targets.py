@@ -5,7 +5,6 @@ reads them, and mutations. A target takes bytes and must end well or with a Gffe
 import copy
 import json
 import os
-import re
 import shutil
 import struct
 import tempfile
@@ -106,7 +105,6 @@ class Target:
     seed: bytes
     read: Callable[[bytes], None]
     is_json: bool = False
-    drawn: bool = False  # the bytes are the seed of what is drawn
 
 
 _valid = tempfile.TemporaryDirectory(prefix="gffe-fuzz-")
@@ -133,46 +131,7 @@ def read_capture(form, file, data):
         opened.warnings()
 
 
-def rng_of(numbers):
-    return np.random.default_rng(list(numbers) or [0])
-
-
 # Names of frames, of which the number is a part; "{}" is the number.
-NUMBERINGS = (
-    "{}", "{:04d}", "-{}", "{}.{}", "0x{}", "{}e5", "", "abc", "{}-", "--{}", "99999999999999999999{}", "٣{}", " {}",
-    "{}\n", "{}(1)", "._{}", "+{}", "{:064d}",
-)  # fmt: skip
-
-
-def read_numbering(form, numbers):
-    """Read a capture whose files have other names, numbers that are missing, twice or none."""
-    root, inside = valid(form)
-    rng = rng_of(numbers)
-    with tempfile.TemporaryDirectory(prefix="gffe-fuzz-", dir=_valid.name) as temporary:
-        copied = shutil.copytree(root, Path(temporary) / "in", copy_function=os.link)
-        pattern = str(rng.choice(NUMBERINGS))
-        for path in sorted(copied.rglob("*")):
-            found = re.search(r"\d+", path.stem)
-            if not path.is_file() or found is None or path.suffix in (".json", ".txt"):
-                continue
-            if rng.integers(8) == 0:
-                path.unlink()
-            elif rng.integers(4):
-                number = int(found[0]) + int(rng.choice([0, 0, 0, 1, 7]))
-                name = path.name[: found.start()] + pattern.format(number, number) + path.name[found.end() :]
-                if not path.with_name(name).exists():
-                    path.rename(path.with_name(name))
-        for path in copied.rglob("*.txt"):
-            lines = path.read_text().splitlines()
-            path.write_text("\n".join(lines[: int(rng.integers(len(lines) + 2))] + lines[: int(rng.integers(2))]))
-        opened = open_capture(copied / inside)
-        times = [entry.time for entry in opened.rendered]
-        assert times == sorted(set(times))
-        for entry in opened.rendered:
-            opened.read(entry)
-        opened.warnings()
-
-
 @cache
 def targets():
     """Return targets by name, such as "sequence:frame_1.exr"."""
@@ -185,10 +144,6 @@ def targets():
 
             data = (valid(form)[0] / file).read_bytes()
             found[f"{form}:{Path(file).name}"] = Target(data, read, file.endswith(".json"))
-        if form == "unreal":
-            found[f"{form}:numbering"] = Target(
-                b"seed", lambda numbers, form=form: read_numbering(form, numbers), drawn=True
-            )
     return found
 
 
@@ -216,8 +171,6 @@ WORDS = (0, 1, 0x7F, 0xFF, 0x7FFF, 0xFFFF, 0x7FFFFFFF, 0x80000000, 0xFFFFFFFF, 0
 
 def mutated(target, data, rng):
     """Return `data` with one to four changes."""
-    if target.drawn:
-        return bytes(rng.integers(0, 256, 4, np.uint8))
     for _ in range(int(rng.integers(1, 5))):
         change = json_mutated if target.is_json and rng.integers(4) else bytes_mutated
         data = change(data, rng)

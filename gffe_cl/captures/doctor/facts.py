@@ -20,7 +20,7 @@ from gffe_cl.captures.doctor.findings import (
     RepeatedPixels,
 )
 from gffe_cl.captures.doctor.samples import PREVIOUS, Look, encoded
-from gffe_cl.captures.sequence.post_effects import nearest_motion
+from gffe_cl.captures.sequence.encoding import nearest_motion
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
 from gffe_cl.engine.opencl.program import constants

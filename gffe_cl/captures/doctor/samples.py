@@ -9,7 +9,7 @@ from typing import Any, Protocol
 import numpy as np
 
 from gffe_cl.captures.sequence import FrameEntry
-from gffe_cl.captures.sequence.read_ahead import read_ahead
+from gffe_cl.captures.sequence.reader import read_ahead
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import QUIETLY
 from gffe_cl.engine.frame.camera import Camera

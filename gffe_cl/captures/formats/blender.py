@@ -21,9 +21,8 @@ from gffe_cl.captures.formats.capture import (
     through_window,
 )
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
-from gffe_cl.captures.sequence.exr import decoded, require_parts
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
-from gffe_cl.captures.sequence.pixel_source import COLOR, ForeignPixels, stack_color
+from gffe_cl.captures.sequence.exr import COLOR, ForeignPixels, decoded, require_parts, stack_color
+from gffe_cl.captures.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (

@@ -1,4 +1,4 @@
-"""Computation of motion vectors: from forward flow, over two frames, of static surfaces.
+"""Computation of motion vectors: from forward flow, over two frames.
 
 Arrays are in our conventions: images (H, W), pixels, y down, depth planar and +inf for sky.
 """
@@ -7,31 +7,13 @@ from __future__ import annotations
 
 import numpy as np
 
+from gffe_cl.captures.sequence.engine_form import static_motion
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import is_long
 
 _SAME_SURFACE = 0.05  # relative depth
 _STEPS = 6  # of the fixed-point iteration that inverts flow
 _CLOSE = 0.75  # pixels between where flow and its inverse lead, at most
-
-
-def static_motion(depth: np.ndarray, camera: Camera, before: Camera) -> tuple[np.ndarray, np.ndarray]:
-    """Return motion (H, W, 2) float64 of static surfaces, from `camera` to `before`, and their depth (H, W) there;
-    both are infinite or NaN where depth is invalid. Sky moves with the rotation."""
-    height, width = depth.shape
-    here = centers(height, width)
-    finite = np.isfinite(depth) & (depth > 0)
-    across = (here - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
-    along = np.concatenate([across, np.ones((height, width, 1))], -1)
-    turn = camera.to_view_of(before)
-    with np.errstate(all="ignore"):
-        seen = along @ turn[:3, :3].T  # at infinite depth
-        near = seen * np.where(finite, depth, 1.0)[..., None] + turn[:3, 3]
-        seen = np.where(finite[..., None], near, seen)
-        px = seen[..., :2] / seen[..., 2:] * (before.fx, before.fy) + (before.cx, before.cy)
-        depth_before = np.where(finite, seen[..., 2], np.where(depth > 0, np.inf, np.nan))
-    px[~(seen[..., 2] > 0)] = np.nan
-    return px - here, depth_before
 
 
 def inverted_flow(

@@ -21,7 +21,7 @@ from gffe_cl.captures.formats.folder_cameras import CameraRules, FoundCamera, pa
 from gffe_cl.captures.formats.images import check_planes, read_planes
 from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry, reference
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
-from gffe_cl.captures.sequence.pixel_source import ForeignPixels
+from gffe_cl.captures.sequence.exr import ForeignPixels
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import open_regular

@@ -15,7 +15,7 @@ from PIL import Image
 
 from gffe_cl.captures.formats.capture import Place, Size, layers_of
 from gffe_cl.captures.sequence.exr import decoded, place_of, placed, require_shown
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, read_header
+from gffe_cl.captures.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import open_regular, require_moderate
 

@@ -23,11 +23,10 @@ from gffe_cl.captures.formats.capture import (
     through_window,
     visible_files,
 )
-from gffe_cl.captures.formats.flow import static_motion
 from gffe_cl.captures.sequence.description import FrameEntry
-from gffe_cl.captures.sequence.exr import decoded, require_parts
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart, read_header
-from gffe_cl.captures.sequence.pixel_source import ForeignPixels
+from gffe_cl.captures.sequence.engine_form import static_motion
+from gffe_cl.captures.sequence.exr import ForeignPixels, decoded, require_parts
+from gffe_cl.captures.sequence.exr_header import ExrHeader, ExrPart, read_header
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.frame.camera import Camera

@@ -25,8 +25,8 @@ from gffe_cl.captures.sequence.description import (
     read_text,
     rendered_entry,
 )
-from gffe_cl.captures.sequence.pixel_source import GEOMETRY
-from gffe_cl.captures.sequence.read_ahead import usable_cores
+from gffe_cl.captures.sequence.exr import GEOMETRY
+from gffe_cl.captures.sequence.reader import usable_cores
 from gffe_cl.captures.sequence.writer import named_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import write_text

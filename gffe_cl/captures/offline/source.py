@@ -22,7 +22,7 @@ from gffe_cl.captures.sequence import (
     require_clean,
 )
 from gffe_cl.captures.sequence.description import rendered_entry
-from gffe_cl.captures.sequence.read_ahead import read_ahead, usable_cores
+from gffe_cl.captures.sequence.reader import read_ahead, usable_cores
 from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.core.files import made_folder
 from gffe_cl.engine.frame.camera import Camera

@@ -12,9 +12,8 @@ from gffe_cl.captures.scenes.renderer import SceneImage, SceneRenderer
 from gffe_cl.captures.scenes.scene_types import Scene
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.captures.sequence.description import rendered_entry
-from gffe_cl.captures.sequence.encoding import EXACT, HALF, JITTERED, TAA, Encoding
+from gffe_cl.captures.sequence.encoding import EXACT, HALF, JITTERED, TAA, Encoding, TemporalAntialiasing
 from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION
-from gffe_cl.captures.sequence.post_effects import TemporalAntialiasing
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame

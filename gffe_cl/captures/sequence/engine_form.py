@@ -218,15 +218,27 @@ def _depth(stored: np.ndarray, given: Mapping[str, Any]) -> np.ndarray:
 
 
 def _camera_motion(depth: np.ndarray, camera: Camera, previous: Camera, mapping: Sequence[float]) -> np.ndarray:
-    """Return the motion (H, W, 2) of static points, pixels of color: 0 where depth is invalid, NaN behind the camera
-    before. `mapping`: from pixels of depth to those of color."""
-    height, width = depth.shape
-    y, x = np.mgrid[:height, :width] + 0.5
-    here, sky = np.stack([x * mapping[0] + mapping[2], y * mapping[1] + mapping[3]], -1), np.isinf(depth)
-    known = depth > 0
-    turned = np.linalg.norm(camera.position - previous.position)
-    far = 1e12 * (1 + turned)  # sky turns and does not move
-    points = camera.unproject(here, np.where(known, np.where(sky, far, depth), 1.0))
-    before, front = previous.project(points)
-    moved = np.where((front > 0)[..., None], before - here, np.nan)
-    return np.where(known[..., None], moved, 0.0)
+    """Return `static_motion` as kernels/upload.cl has it: 0 where depth is invalid."""
+    return np.where((depth > 0)[..., None], static_motion(depth, camera, previous, mapping)[0], 0.0)
+
+
+def static_motion(
+    depth: np.ndarray, camera: Camera, before: Camera, mapping: Sequence[float] = (1.0, 1.0, 0.0, 0.0)
+) -> tuple[np.ndarray, np.ndarray]:
+    """Return motion (H, W, 2) float64 of static surfaces, pixels of color, from `camera` to `before`, and their depth
+    (H, W) there. Sky, and pixels of invalid depth, move with the rotation; motion is NaN behind the camera before,
+    depth where it is invalid. `mapping`: from pixels of depth to those of color."""
+    y, x = np.mgrid[: depth.shape[0], : depth.shape[1]] + 0.5
+    here = np.stack([x * mapping[0] + mapping[2], y * mapping[1] + mapping[3]], -1)
+    finite = np.isfinite(depth) & (depth > 0)
+    across = (here - (camera.cx, camera.cy)) / (camera.fx, camera.fy)
+    along = np.concatenate([across, np.ones((*depth.shape, 1))], -1)
+    turn = camera.to_view_of(before)
+    with np.errstate(all="ignore"):
+        seen = along @ turn[:3, :3].T  # at infinite depth
+        near = seen * np.where(finite, depth, 1.0)[..., None] + turn[:3, 3]
+        seen = np.where(finite[..., None], near, seen)
+        px = seen[..., :2] / seen[..., 2:] * (before.fx, before.fy) + (before.cx, before.cy)
+        depth_before = np.where(finite, seen[..., 2], np.where(depth > 0, np.inf, np.nan))
+    px[~(seen[..., 2] > 0)] = np.nan
+    return px - here, depth_before

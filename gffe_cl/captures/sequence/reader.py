@@ -1,22 +1,27 @@
-"""Reader of a sequence: everything about its files is checked on opening, pixels are read on demand."""
+"""Reader of a sequence: everything about its files is checked on opening, pixels are read on demand, the next frames on
+threads. Input that is legal but suspicious has warnings.
+"""
 
 from __future__ import annotations
 
 import json
 import os
+from collections import deque
 from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
 
 from gffe_cl.captures.sequence import exr
-from gffe_cl.captures.sequence.checks import time_warnings, zero_motion_warning
 from gffe_cl.captures.sequence.description import (
     FILE_NAME,
     KINDS,
     Description,
     FrameEntry,
+    Timeline,
     frame_label,
     parse_description,
     read_text,
@@ -24,12 +29,9 @@ from gffe_cl.captures.sequence.description import (
     without_collections,
 )
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
-from gffe_cl.captures.sequence.exr_layout import read_header
-from gffe_cl.captures.sequence.header_camera import has_camera, header_cameras
-from gffe_cl.captures.sequence.matching import Timeline
+from gffe_cl.captures.sequence.exr import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
+from gffe_cl.captures.sequence.exr_header import has_camera, header_cameras, read_header
 from gffe_cl.captures.sequence.output_folder import why_unfinished
-from gffe_cl.captures.sequence.pixel_source import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
-from gffe_cl.captures.sequence.read_ahead import read_ahead
 from gffe_cl.engine.core.errors import GffeError, printable, within
 from gffe_cl.engine.core.files import follow_links as following
 from gffe_cl.engine.core.validation import (
@@ -42,7 +44,55 @@ from gffe_cl.engine.core.validation import (
 )
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame, require_one_pose
+from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, require_one_pose
+
+_SLOW_INTERVAL = 5.0  # seconds between rendered frames that look like milliseconds
+_SEEN_MOVING = 0.5  # pixels
+
+
+def require_clean(file: str, bad: BadPixels) -> None:
+    """Raise GffeError if a frame holds bad pixels (strict mode)."""
+    if bad:
+        raise GffeError(f"{file}: {bad} (strict)")
+
+
+def time_warnings(frames: list[FrameEntry], fps: float) -> list[str]:
+    """Return sentences about frame times that look wrong; `frames` are the rendered ones, by time."""
+    steps = np.diff([entry.time for entry in frames])
+    steps = [step for step, entry in zip(steps, frames[1:], strict=True) if not entry.reset]
+    if not steps:
+        return []
+    step = float(np.median(steps))
+    if step > _SLOW_INTERVAL:
+        return [f"frame interval {step:.3g} s: milliseconds? (times are in seconds)"]
+    if not 0.5 <= step * fps <= 2:
+        return [f"fps is {fps:g}, but rendered frames are {step:.3g} s apart ({1 / step:.3g} per second)"]
+    return []
+
+
+def zero_motion_warning(motion, depth, camera: Camera, previous: Camera) -> str | None:
+    """Return a sentence if `motion` (H, W, 2) is zero everywhere although the camera moved since the frame before, else
+    None.
+
+    The camera moved if the center or a corner of the image, at the median of `depth` (H, W), moved by more
+    than half a pixel.
+    """
+    with np.errstate(invalid="ignore"):  # signaling NaN
+        moves = motion is None or np.any(motion)
+    if moves:
+        return None
+    surface = depth[np.isfinite(depth) & (depth > 0)]
+    if not surface.size:
+        return None
+    height, width = depth.shape
+    px = np.array([(x * width, y * height) for x, y in ((0.5, 0.5), (0, 0), (1, 0), (0, 1), (1, 1))])
+    world_pos = camera.unproject(px, np.full(5, np.median(surface)))
+    px_previous, depth_previous = previous.project(world_pos)
+    shift = np.linalg.norm(px_previous - px, axis=-1)[depth_previous > 0]
+    if shift.size and shift.max() <= _SEEN_MOVING:
+        return None
+    return "motion is zero everywhere although the camera moved"
+
 
 _MOST_AHEAD = 1024
 
@@ -355,3 +405,34 @@ def _same_frustum(entry, size):
     if tuple(render_size) == size:
         return entry.render_camera
     return entry.render_camera.scaled(size[0] / render_size[0], size[1] / render_size[1])
+
+
+def usable_cores() -> int:
+    """Return how many processor cores this process may use."""
+    return len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+
+
+def read_ahead(items: Iterable, function: Callable, ahead: int = 2) -> Iterator[tuple]:
+    """Yield (item, function(item)) in order, `function` running on threads for the next `ahead`, from now on.
+
+    An exception of `function` is raised when its item's turn comes. Leaving the loop (break, exception, Ctrl-C) drops
+    items that were not started and waits for the others.
+    """
+    ahead = max(1, ahead)
+    items = iter(items)
+    pool = ThreadPoolExecutor(ahead, thread_name_prefix="gffe-read")
+    pending = deque((item, pool.submit(function, item)) for item in islice(items, ahead))
+    return _in_order(items, function, pool, pending)
+
+
+def _in_order(items: Iterator, function: Callable, pool: ThreadPoolExecutor, pending: deque) -> Iterator[tuple]:
+    try:
+        while pending:
+            item, future = pending.popleft()
+            result = future.result()
+            for following in islice(items, 1):
+                pending.append((following, pool.submit(function, following)))
+            yield item, result
+            del result, future
+    finally:
+        pool.shutdown(wait=True, cancel_futures=True)

@@ -25,10 +25,10 @@ from gffe_cl.captures.sequence.description import (
     parse_description,
     require_one_size,
 )
-from gffe_cl.captures.sequence.header_camera import camera_attributes
+from gffe_cl.captures.sequence.exr import GEOMETRY, OVERLAY_CHANNELS
+from gffe_cl.captures.sequence.exr_header import camera_attributes
 from gffe_cl.captures.sequence.output_folder import GENERATOR, OutputFolder
-from gffe_cl.captures.sequence.pixel_source import GEOMETRY, OVERLAY_CHANNELS
-from gffe_cl.captures.sequence.read_ahead import usable_cores
+from gffe_cl.captures.sequence.reader import usable_cores
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (
     require_array,

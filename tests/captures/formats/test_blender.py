@@ -11,7 +11,7 @@ import OpenEXR
 import pytest
 
 from gffe_cl import open_capture
-from gffe_cl.captures.formats.flow import static_motion
+from gffe_cl.captures.sequence.engine_form import static_motion
 
 SCRIPT = Path(__file__).parents[3] / "docs" / "blender" / "export_gffe.py"
 PYTHON = os.environ.get("GFFE_BLENDER_PYTHON", sys.executable)

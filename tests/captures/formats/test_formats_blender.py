@@ -198,21 +198,6 @@ def test_commands_take_it(tmp_path, monkeypatch):
         commands.invoke(["run", "in", "in"])
 
 
-def test_the_viewer_and_bench_take_it(tmp_path):
-    from gffe_cl.captures.offline.source import Recorded
-    from gffe_cl.lab.bench import sequence_loop
-    from gffe_cl.viewer.engine.sources.opening import ScenePlan, make_source
-
-    folder = write_blender(tmp_path, shots())
-    source = make_source(str(folder), None, ScenePlan(W, H, 0), None)
-    np.testing.assert_array_equal(source.rendered(1).motion, shots()[2].motion)
-    np.testing.assert_array_equal(source.truth(1, 0.5), shots()[3].color)
-    assert source.camera(1, 0.5).intrinsics == shots()[3].camera.intrinsics and source.has_truth
-    source.close()
-    loop = sequence_loop(Recorded(open_capture(folder), None))
-    assert len(loop.frames) == 3 and loop.cameras[1].intrinsics == shots()[3].camera.intrinsics
-
-
 def test_a_frame_that_is_missing_is_a_gap(tmp_path):
     """Its number and its time are missing: the vectors of the next one lead to it."""
     folder = write_blender(tmp_path, shots(count=5))

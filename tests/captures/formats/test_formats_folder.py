@@ -447,19 +447,6 @@ def test_a_missing_number_is_a_reset(tmp_path):
     assert [entry.reset for entry in sequence.rendered] == [True, False, False] and not sequence.notes
 
 
-def test_negative_numbers(tmp_path):
-    write(tmp_path)
-    for number in (3, 4, 5):
-        for before, after in (
-            (f"color_{number:04d}.exr", f"color_{number - 4:04d}.exr"),
-            (f"depth_{number}.npy", f"depth_{number - 4}.npy"),
-            (f"motion.{number:03d}.npy", f"motion.{number - 4:03d}.npy"),
-        ):
-            (tmp_path / before).rename(tmp_path / after)
-    (tmp_path / "sequence.json").write_text(json.dumps(described(frames={"first": -1, "count": 3})))
-    same(open_capture(tmp_path))
-
-
 @pytest.mark.parametrize(
     ("change", "words"),
     [

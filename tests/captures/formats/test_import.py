@@ -10,8 +10,9 @@ from synthetic import Rect, Rects, camera
 
 from gffe_cl import Camera, GffeError, SequenceWriter, named_channels, open_capture, open_sequence
 from gffe_cl.captures.formats import FORMATS
-from gffe_cl.captures.formats.flow import composed, inverted_flow, sampled, static_motion
+from gffe_cl.captures.formats.flow import composed, inverted_flow, sampled
 from gffe_cl.captures.sequence import FrameEntry
+from gffe_cl.captures.sequence.engine_form import static_motion
 from gffe_cl.cli import commands
 
 SIZE = (64, 48)

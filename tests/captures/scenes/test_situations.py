@@ -3,7 +3,7 @@ shows what it is named for."""
 
 import numpy as np
 import pytest
-from scene_oracle import cast, clearances
+from scene_oracle import clearances
 
 from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneRenderer, is_scene, load_scene
 from gffe_cl.captures.scenes.scene_types import LightFlicker
@@ -14,7 +14,7 @@ from gffe_cl.lab.table.footage import parse_subject
 W, H = 64, 36
 TIME, STEP = 0.7, 1 / 30
 MOVING = ("handheld", "cab", "wipers", "railings")  # cameras
-MOVERS, SHADING = ("bars", "balls", "rotors"), ("shadows", "fan")
+MOVERS = ("bars", "balls", "rotors")
 
 
 def render(device, scene, time=TIME, other_time=TIME - STEP, size=(W, H), camera=None, **more):
@@ -37,7 +37,7 @@ def test_catalogue():
         load_scene("fence")
 
 
-@pytest.mark.parametrize("name", SITUATIONS)
+@pytest.mark.parametrize("name", [*SCENES, *SITUATIONS])
 def test_motion_is_rigid_and_the_camera_keeps_clear(name):
     for seed in range(2):
         scene = load_scene(name, seed)
@@ -46,7 +46,7 @@ def test_motion_is_rigid_and_the_camera_keeps_clear(name):
             assert np.allclose(a[:3, :3] @ a[:3, :3].T, np.eye(3), atol=1e-9)
             assert np.abs(a - b).max() < 5e-3, (name, group.name)
         times = np.linspace(0, 8, 16)
-        assert min(clearances(scene, times, [scene.eye(t) for t in times])) > 0.5
+        assert min(clearances(scene, times, [scene.eye(t) for t in times])) > (0.5 if name in SITUATIONS else 0.12)
 
 
 def test_flicker_holds_and_jumps():
@@ -78,20 +78,6 @@ def test_a_handheld_camera_accelerates_and_others_hardly_move():
 
 
 @pytest.mark.device
-@pytest.mark.parametrize("name", SITUATIONS)
-def test_surfaces_match_the_oracle_and_color_is_well_exposed(device, name):
-    scene = load_scene(name, 2)
-    out = render(device, scene)
-    depth, object_id, _ = cast(scene, TIME, scene.camera(TIME, W, H))
-    same = out.object_id == object_id
-    assert same.mean() > 0.99  # the rest are silhouettes
-    error = np.abs(out.depth / np.where(object_id >= 0, depth, 1) - 1)[same & (object_id >= 0)]
-    assert np.quantile(error, 0.99) < 1e-5
-    color = out.color.astype(np.float32)
-    assert np.isfinite(color).all() and 0.015 < np.median(color) < 0.5
-
-
-@pytest.mark.device
 @pytest.mark.parametrize("name", MOVERS)
 def test_something_moves(device, name):
     scene, size = load_scene(name, 0), (120, 68)
@@ -103,19 +89,3 @@ def test_something_moves(device, name):
         before, bar, after = shown[:, :-4], shown[:, 2:-2], shown[:, 4:]
         behind = [moving(scene)[side] & (side >= 0) for side in (before, after)]
         assert (np.isin(bar, bars) & behind[0] & behind[1]).sum() >= 5
-
-
-@pytest.mark.device
-@pytest.mark.parametrize("name", SHADING)
-def test_light_moves_over_still_surfaces(device, name):
-    """Nearly all that changes is light: with the camera held, few pixels show movers, many are lit otherwise."""
-    scene = load_scene(name, 0)
-    shares = []
-    for time in (0.5, 1.1, 2.3):
-        camera = scene.camera(time, W, H)
-        one, two = (render(device, scene, t, t, camera=camera) for t in (time, time + 1.5 * STEP))
-        still = (one.object_id == two.object_id) & ~moving(scene)[one.object_id]
-        a, b = (out.color.astype(np.float32) for out in (one, two))
-        assert still.mean() > 0.9
-        shares.append(((2 * np.abs(a - b) / (a + b + 0.01)).mean(-1) > 0.1)[still].mean())
-    assert np.mean(shares) > 0.05, shares

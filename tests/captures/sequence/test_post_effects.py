@@ -3,18 +3,16 @@
 import numpy as np
 from synthetic import camera
 
-from gffe_cl.captures.sequence.encoding import EXACT, Encoding
-from gffe_cl.captures.sequence.post_effects import (
-    GRAIN,
+from gffe_cl.captures.sequence.encoding import (
+    EXACT,
+    Encoding,
     TemporalAntialiasing,
-    bicubic,
     nearest_motion,
     user_interface,
     with_ui,
 )
 from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.engine.frame.transfer_function import to_display
 from gffe_cl.engine.frame.window import Jitter
 
 W, H = 64, 48
@@ -55,14 +53,6 @@ def test_antialiasing_clamps_what_is_gone():
     assert np.allclose(taa.resolve(frame(dark), bright), 0.1, rtol=1e-2)
 
 
-def test_bicubic_and_its_border():
-    image = np.arange(W * H, dtype=np.float32).reshape(H, W, 1)
-    moved, known = bicubic(image, np.full((H, W, 2), (2, -1), np.float32))
-    assert np.array_equal(moved[1:, :-2], image[:-1, 2:]) and known[1:, :-2].all()
-    assert not known[0].any() and not known[:, -2:].any()
-    assert not bicubic(image, np.full((H, W, 2), np.nan, np.float32))[1].any()
-
-
 def test_dilated_vectors_are_those_of_the_nearest_pixel():
     depth, motion = np.full((H, W), 5, np.float32), np.zeros((H, W, 2), np.float32)
     depth[10, 20], motion[10, 20] = 2, (3, 1)
@@ -73,16 +63,6 @@ def test_dilated_vectors_are_those_of_the_nearest_pixel():
     stored = encoding.frame(frame(np.zeros((H, W, 3), np.float16)))
     assert encoding.format == FrameFormat(motion_dilated=True) and EXACT.format is None
     assert np.array_equal(stored.motion, np.zeros((H, W, 2)))
-
-
-def test_grain_changes_from_frame_to_frame():
-    encoding, color = Encoding.parse("grain"), np.full((H, W, 3), 0.2, np.float16)
-    a, b, again = (encoding.frame(frame(color, time=t), 2.0).color for t in (0.5, 0.6, 0.5))
-    noise = to_display(a, 2.0) - to_display(color, 2.0)
-    assert np.array_equal(a, again) and not np.array_equal(a, b)
-    assert abs(noise.mean()) < 0.002 and abs(noise.std() / GRAIN - 1) < 0.1
-    assert np.abs(np.ptp(noise, axis=-1)).max() < 0.004  # gray
-    assert np.array_equal(encoding.truth(color, 2.0), color)
 
 
 def test_user_interface_is_in_color_and_truth():

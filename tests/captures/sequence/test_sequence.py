@@ -17,12 +17,9 @@ from gffe_cl.captures.sequence import (
     SequenceWriter,
     named_channels,
     open_sequence,
-    require_clean,
 )
-from gffe_cl.captures.sequence.checks import zero_motion_warning
-from gffe_cl.captures.sequence.exr_layout import ExrPart
-from gffe_cl.captures.sequence.header_camera import camera_attributes, header_cameras
-from gffe_cl.captures.sequence.read_ahead import read_ahead
+from gffe_cl.captures.sequence.exr_header import ExrPart, camera_attributes, header_cameras
+from gffe_cl.captures.sequence.reader import zero_motion_warning
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
@@ -162,15 +159,6 @@ def foreign(folder, parts, i=1):
     OpenEXR.File(parts).write(str(folder / f"frame_{i}.exr"))
 
 
-@pytest.mark.parametrize("compression", ["NO", "RLE", "ZIPS", "PIZ", "PXR24", "DWAA", "DWAB", "B44"])
-def test_compressions(folder, compression):
-    header = {"compression": getattr(OpenEXR, f"{compression}_COMPRESSION"), "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, contiguous(named_channels(*pixels(1)))).write(str(folder / "frame_1.exr"))
-    sequence = open_sequence(folder)
-    frame = sequence.read(sequence.rendered[1])
-    np.testing.assert_allclose(frame.depth, pixels(1)[1], rtol=1e-2)
-
-
 def test_multi_part_types_and_shifted_window(folder):
     color, depth, motion = pixels(1)
     window = (np.array([7, -4], np.int32), np.array([7 + W - 1, -4 + H - 1], np.int32))
@@ -188,12 +176,6 @@ def test_multi_part_types_and_shifted_window(folder):
 
 
 # Warnings and strict
-
-
-def test_strict():
-    require_clean("frame_000003.exr", BadPixels())
-    with pytest.raises(GffeError, match=r"^frame_000003.exr: 12 × NaN or infinite motion \(strict\)$"):
-        require_clean("frame_000003.exr", BadPixels(motion=12))
 
 
 def test_time_warnings(folder):
@@ -280,17 +262,6 @@ def test_bad_pixels_of_every_type(dtype):
             assert np.array_equal(laid[..., :3], expected.astype(np.float16)) and not laid[..., 3].any()
 
 
-def test_halves_that_were_read_are_not_copied(tmp_path):
-    """What is read stays as it is, also where a pixel is bad."""
-    sequence = open_sequence(write(tmp_path))
-    frame = sequence.read(sequence.rendered[0])
-    assert frame.color.dtype == np.float16 and frame.color.shape == (H, W, 3)
-    host = host_arrays(frame, H, W)
-    assert np.shares_memory(host.color, frame.color) and not host.color[..., 3].any()
-    frame.color[1, 2, 0] = np.nan
-    assert host.bad.color == 1 and host.in_device_layout().color[1, 2, 0] == 0 and np.isnan(frame.color[1, 2, 0])
-
-
 def test_freed_memory_is_kept():
     """Pages that were fetched once serve again, instead of new ones for each array."""
     code = (
@@ -304,13 +275,6 @@ def test_freed_memory_is_kept():
         for call in ("", "keep_freed_memory()")
     ]
     assert fetched[0] < 50_000 or fetched[1] < fetched[0] / 10  # glibc's own way is to give them back
-
-
-def test_reading_ahead_starts_at_once():
-    started = threading.Event()
-    ahead = read_ahead([1, 2, 3], lambda item: started.set() or 10 * item)
-    assert started.wait(5)
-    assert list(ahead) == [(1, 10), (2, 20), (3, 30)]
 
 
 def test_truth_lies_where_its_data_window_says(tmp_path):

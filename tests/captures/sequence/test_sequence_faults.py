@@ -1,23 +1,13 @@
 """Every structural fault is one line that says what is wrong and where."""
 
-import os
-import socket
-import threading
-import warnings
-from pathlib import Path
-
 import numpy as np
 import OpenEXR
 import pytest
 from tiny_sequence import H, W, contiguous, edit, pixels, write
 
-from gffe_cl.captures.sequence import SequenceWriter, named_channels, open_sequence
-from gffe_cl.captures.sequence.checks import zero_motion_warning
-from gffe_cl.captures.sequence.exr_layout import _Cursor, _parse
+from gffe_cl.captures.sequence import named_channels, open_sequence
+from gffe_cl.captures.sequence.exr_header import _Cursor, _parse
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.lab.metrics import focus_mask, smape, to_display
 
 
 @pytest.fixture
@@ -32,7 +22,7 @@ def fault(folder):
     return str(info.value)
 
 
-@pytest.mark.parametrize("keep", [0, 3, 20, 150, 0.5, 0.9, -10, -1])
+@pytest.mark.parametrize("keep", [3, 150, 0.5, -1])
 def test_truncated(folder, keep, capfd):
     path = folder / "frame_2.exr"
     data = path.read_bytes()
@@ -65,36 +55,6 @@ def test_damaged_and_unfinished(folder):
     table = _parse(_Cursor(data)).end
     path.write_bytes(data[:table] + b"\0" * 8 + data[table + 8 :])
     assert "incomplete, 1 of 1 chunks" in fault(folder)
-
-
-@pytest.mark.parametrize("file", ["frame_1.exr", "sequence.json"])
-@pytest.mark.parametrize("kind", ["pipe", "socket", "device", "folder"])
-def test_regular_files_only(folder, file, kind):
-    """Opening a pipe waits for its other end, a device may never end."""
-    path = folder / file
-    path.unlink()
-    if kind == "pipe":
-        os.mkfifo(path)
-    elif kind == "device":
-        path.symlink_to("/dev/zero")
-    elif kind == "folder":
-        path.mkdir()
-    else:
-        here = Path.cwd()
-        os.chdir(folder)  # the name of a socket must be short
-        try:
-            socket.socket(socket.AF_UNIX).bind(file)
-        finally:
-            os.chdir(here)
-    said = []
-
-    def opening():
-        said.append(fault(folder))
-
-    thread = threading.Thread(target=opening, daemon=True)
-    thread.start()
-    thread.join(10)
-    assert said and file in said[0] and "cannot be read" in said[0]
 
 
 def test_names_are_shown_escaped(folder):
@@ -152,32 +112,15 @@ def set_camera(value):
 
 BROKEN = {
     "singular camera": (set_camera({"world_to_view": [[0] * 4] * 3 + [[0, 0, 0, 1]]}), "singular"),
-    "flat camera": (set_camera({"fx": 0.0}), "singular"),
     "non-finite camera": (set_camera({"fx": float("nan")}), "must be a finite number"),
-    "infinite camera": (set_camera({"cx": 1e999}), "must be a finite number"),
-    "huge camera": (set_camera({"cx": 10**400}), "must be a finite number"),
-    "camera of text": (set_camera({"fy": "wide"}), "must be a finite number"),
-    "number as text": (set_camera({"fx": "1"}), "must be a finite number"),
-    "truth value": (set_camera({"fx": True}), "must be a finite number"),
     "matrix of text": (set_camera({"world_to_view": np.eye(4).astype(str).tolist()}), "of numbers"),
-    "matrix of truth values": (set_camera({"world_to_view": np.eye(4, dtype=bool).tolist()}), "real numbers"),
-    "one truth value": (set_camera({"world_to_view": [[True, 0, 0, 0], *np.eye(4)[1:].tolist()]}), "real numbers"),
-    "matrix of one number": (set_camera({"world_to_view": 0.5}), "shape (4, 4), got ()"),
-    "ragged matrix": (set_camera({"world_to_view": [[1, 0, 0, 0], [0, 1]]}), "of numbers"),
-    "time of text": (lambda d: d["frames"][2].update(time="1"), "time must be a finite number"),
-    "time of truth": (lambda d: d["frames"][2].update(time=True), "time must be a finite number"),
-    "alpha of truth": (lambda d: d["frames"][2].update(alpha=True), "alpha must be a finite number"),
-    "3×3 camera": (set_camera({"world_to_view": [[1, 0, 0]] * 3}), "shape (4, 4)"),
     "camera without fx": (lambda d: d["frames"][2]["render_camera"].pop("fx"), "must have world_to_view"),
     "camera no object": (lambda d: d["frames"][2].update(render_camera=[1]), "must have world_to_view"),
     "same time": (lambda d: d["frames"][2].update(time=d["frames"][1]["time"]), "times must increase"),
-    "time going back": (lambda d: d["frames"][2].update(time=-1), "times must increase"),
     "time NaN": (lambda d: d["frames"][2].update(time=float("nan")), "time must be a finite number"),
     "time missing": (lambda d: d["frames"][2].pop("time"), "time must be a finite number, got nothing"),
     "unknown kind": (lambda d: d["frames"][2].update(kind="drawn"), "kind must be one of"),
-    "kind a list": (lambda d: d["frames"][2].update(kind=["rendered"]), "kind must be one of"),
     "reset a number": (lambda d: d["frames"][2].update(reset=1), "reset must be true or false"),
-    "size of one": (lambda d: d["frames"][2].update(render_size=[W]), r"render_size must be"),
     "size zero": (lambda d: d["frames"][2].update(render_size=[0, H]), "whole number"),
     "alpha": (lambda d: d["frames"][2].update(alpha=0), "alpha must be greater than 0"),
 }
@@ -191,32 +134,6 @@ def test_broken_frame(folder, name):
     assert message.startswith("sequence.json, frame 2 (frame_1.exr)") and expected in message
 
 
-@pytest.mark.parametrize("file", ["../frame_1.exr", "/etc/passwd", "a/../../b.exr", "..\\b.exr", "C:\\b.exr", "", 7])
-def test_paths_stay_inside(folder, file):
-    edit(folder, lambda d: d["frames"][2].update(file=file))
-    message = fault(folder)
-    assert "frame 2" in message and ("stay inside" in message or "must be the name" in message)
-
-
-BAD_EXPOSURES = [0, -1, 1e-300, 9e-7, 1.1e6, 1e299, float("inf"), float("nan"), "1", True, [1], {}]
-
-
-@pytest.mark.parametrize("exposure", [*BAD_EXPOSURES, None])
-def test_exposures_are_checked_wherever_one_is_taken(tmp_path, exposure):
-    image = np.zeros((H, W, 3), np.float32)
-    takers = [
-        lambda: SequenceWriter(tmp_path / "out", W, H, 30, exposure),
-        lambda: to_display(image, exposure),
-        lambda: smape(image, image, exposure),
-        lambda: focus_mask(image, image, image[..., 0], exposure),
-        lambda: Pipeline.exposure.fset(object.__new__(Pipeline), exposure),
-    ]
-    for take in takers:
-        with pytest.raises(GffeError, match="exposure must be a finite number from"):
-            take()
-    assert not (tmp_path / "out").exists()
-
-
 @pytest.mark.parametrize(
     "change, expected",
     [
@@ -226,7 +143,7 @@ def test_exposures_are_checked_wherever_one_is_taken(tmp_path, exposure):
         ({"width": 0}, "width must be a whole number"),
         ({"height": 9.5}, "height must be a whole number"),
         ({"fps": 0}, "fps must be greater than 0"),
-        *(({"exposure": e}, "exposure must be a finite number from 1e-06 to 1e+06") for e in BAD_EXPOSURES),
+        ({"exposure": 0}, "exposure must be a finite number from 1e-06 to 1e+06"),
         ({"fps": True}, "fps must be a finite number"),
         ({"width": True}, "width must be a whole number"),
         ({"unfinished": 1}, "unfinished must be true or false"),
@@ -243,13 +160,6 @@ def test_broken_document(folder, change, expected):
 def test_unreadable_json(folder, text):
     (folder / "sequence.json").write_bytes(text)
     assert "sequence.json: not" in fault(folder)
-
-
-def test_a_byte_order_mark_is_no_fault(folder):
-    """As editors of Windows write it."""
-    path = folder / "sequence.json"
-    path.write_bytes(b"\xef\xbb\xbf" + path.read_bytes())
-    assert len(open_sequence(folder).rendered) == 3
 
 
 def test_sizes_that_change_are_named_at_opening(folder):
@@ -285,12 +195,3 @@ def test_extrapolated_frames_may_coincide(folder):
 
     edit(folder, change)
     assert open_sequence(folder).extrapolated[0].alpha == 1
-
-
-def test_signaling_nan_in_motion_is_taken_as_nan():
-    """Without a warning of NumPy's, which users would see."""
-    motion, depth = np.full((9, 12, 2), 0x7FA00000, np.uint32).view(np.float32), np.ones((9, 12), np.float32)
-    camera = Camera(np.eye(4), 10, 10, 6, 4.5)
-    with warnings.catch_warnings():
-        warnings.simplefilter("error")
-        assert zero_motion_warning(motion, depth, camera, camera) is None

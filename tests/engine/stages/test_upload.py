@@ -8,7 +8,7 @@ from device_arrays import of_arrays
 from synthetic import camera
 
 from gffe_cl import FrameFormat, Options, Pipeline, RenderedFrame
-from gffe_cl.captures.sequence.post_effects import nearest_motion
+from gffe_cl.captures.sequence.encoding import nearest_motion
 from gffe_cl.engine.frame.frame_format import (
     CAMERA_MOTIONS,
     COLOR_TYPES,

@@ -10,7 +10,7 @@ from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
 from gffe_cl.captures.doctor import user_interface as twin
-from gffe_cl.captures.sequence.post_effects import user_interface, with_ui
+from gffe_cl.captures.sequence.encoding import user_interface, with_ui
 from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
