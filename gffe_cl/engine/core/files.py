@@ -19,6 +19,7 @@ except ImportError:  # not on Windows: no lock there
     fcntl = None
 
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.validation import require_bool
 
 _OPENING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -39,8 +40,8 @@ def following_links() -> bool:
 
 @contextmanager
 def follow_links(allowed: bool | None) -> Iterator[None]:
-    """Set `following_links` for this block and thread; None leaves it as it is."""
-    token = _anywhere_here.set(following_links() if allowed is None else allowed)
+    """Set `following_links` for this block and thread; None leaves it as it is. Raises GffeError for no truth value."""
+    token = _anywhere_here.set(following_links() if allowed is None else require_bool(allowed, "follow_links"))
     try:
         yield
     finally:

@@ -365,6 +365,7 @@ def open_device(wanted: str | None = None, profiling: bool = False) -> Device:
     """
     if wanted is not None:
         require_kind(wanted, str, "open_device: wanted", 'a text such as "0:1", "gpu" or "intel"')
+    profiling = require_bool(profiling, "open_device: profiling")
     origin = "" if wanted else "GFFE_DEVICE: "
     wanted = wanted or os.environ.get("GFFE_DEVICE") or None
     infos, age = known_devices()
