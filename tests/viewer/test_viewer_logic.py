@@ -18,6 +18,7 @@ from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.viewer.engine.figures import REGIONS, Timings
+from gffe_cl.viewer.engine.messages import Frame, Key, Recipe, Setup
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.actions import IMGUI_KEYS, Action, Actions, parse_shortcut
@@ -811,18 +812,23 @@ def test_unused_names(tmp_path):
 # -- timings ---------------------------------------------------------------------------------------------------------
 
 
-def test_timings_count_the_network_to_shading_correction():
-    def computed(**milliseconds):
-        kernels = {stage: {stage: taken} for stage, taken in milliseconds.items()}
-        moment = SimpleNamespace(alpha=0.5 * ("warp" in milliseconds))
-        return SimpleNamespace(kernels=kernels, milliseconds=milliseconds, wall_ms=9.0, readback_ms=1.0, moment=moment)
+def test_timings_are_means_of_computed_frames():
+    """Each counts once, and only those that followed the frame before tell how long a picture takes."""
+    timings, recipe = Timings(), Recipe(1, 0, Setup(), "")
 
-    timings = Timings()
-    for network in (4.0, 8.0):
-        timings.add(computed(warp=1.0, correction=2.0, network=network))
-    assert timings.means() == {"warp": 1.0, "correction": 8.0} and timings.network() == 6.0
-    timings.add(computed(warp=4.0))  # shading correction is off
-    assert timings.means() == {"warp": 2.0} and timings.text == "mean of the last 3 shown frames, 3 generated"
+    def add(slot, wall, submitted, **milliseconds):
+        kernels = {stage: {stage: taken} for stage, taken in milliseconds.items()}
+        moment = SimpleNamespace(alpha=0.5 * (slot % 2))
+        timings.add(Frame(Key(recipe, slot), frozenset(), moment, {}, {}, kernels, wall, 1.0, submitted=submitted))
+
+    for _ in range(2):  # the second time from the cache
+        add(1, 900.0, 12, warp=1.0, correction=2.0, network=4.0)
+        add(2, 10.0, 1, warp=1.0, correction=2.0, network=8.0)
+    assert timings.means() == {"warp": 1.0, "correction": 8.0} and timings.network() == (6.0, 0.0)
+    assert timings.walls() == (1, 10.0, 1.0)
+    add(3, 20.0, 0, warp=4.0)  # shading correction is off
+    assert timings.means() == {"warp": 2.0} and timings.of_stage("warp") == {"warp": 2.0}
+    assert timings.walls() == (2, 15.0, 1.0) and timings.text == "mean of the last 3 computed frames, 2 generated"
 
 
 @pytest.mark.parametrize(

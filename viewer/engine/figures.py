@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections import OrderedDict, defaultdict, deque
+from collections import OrderedDict, deque
 from concurrent.futures import Future
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -267,74 +267,62 @@ _MEAN = 20  # ... and in the means
 
 
 class Timings:
-    """Milliseconds of the frames that were shown last, those from the cache with the times of when they were computed;
-    `stages` are kernel times by stage, of shading correction with the time
-    in the network, which `network` has alone, and that of its copies."""
+    """Milliseconds of the frames that were computed and shown last, each once: one that comes from the cache again has
+    its old times, which do not count. Kernel times of shading correction include the time in the network."""
 
     def __init__(self):
-        self.stages: dict[str, deque[float]] = defaultdict(lambda: deque(maxlen=HISTORY))
-        self.kernels: dict[tuple[str, str], deque[float]] = defaultdict(lambda: deque(maxlen=_MEAN))  # (stage, kernel)
-        self._generated: deque[bool] = deque(maxlen=_MEAN)
-        self._networks: deque[float] = deque(maxlen=_MEAN)
-        self._copies: deque[float] = deque(maxlen=_MEAN)
-        self._walls: deque[float] = deque(maxlen=_MEAN)
-        self._readbacks: deque[float] = deque(maxlen=_MEAN)
+        self._frames: deque[Frame] = deque(maxlen=HISTORY)
 
-    def add(self, frame) -> None:
-        """Add the times of a shown Frame."""
-        self._generated.append(frame.moment.alpha > 0)
-        taken = dict(frame.milliseconds)
-        network = taken.pop("network", 0.0)
-        copies = taken.pop("network copies", 0.0)
-        if "correction" in taken:
-            taken["correction"] += network + copies
-        self._networks.append(network)
-        self._copies.append(copies)
-        for name in self.stages.keys() - taken.keys():
-            del self.stages[name]
-        for name, milliseconds in taken.items():
-            self.stages[name].append(milliseconds)
-        kernels = {(stage, kernel): ms for stage, taken in frame.kernels.items() for kernel, ms in taken.items()}
-        for name in self.kernels.keys() - kernels.keys():
-            if name[0] in taken:
-                kernels[name] = 0.0  # of a rendered frame, or of generated ones, alone
-            else:
-                del self.kernels[name]
-        for name, milliseconds in kernels.items():
-            if name not in self.kernels:  # as many frames as its stage has
-                self.kernels[name].extend([0.0] * (len(self.stages[name[0]]) - 1) if name[0] in self.stages else [])
-            self.kernels[name].append(milliseconds)
-        self._walls.append(frame.wall_ms)
-        self._readbacks.append(frame.readback_ms)
+    def add(self, frame: Frame) -> None:
+        """Add a shown frame, unless it is one of those that are there."""
+        if all((frame.key, frame.wall_ms) != (other.key, other.wall_ms) for other in self._frames):
+            self._frames.append(replace(frame, images={}))
 
     @property
     def text(self) -> str:
-        """Number of shown and of generated frames that the means are of, in words."""
-        count, generated = len(self._generated), sum(self._generated)
-        return f"mean of the last {count} shown frame{'s' * (count > 1)}, {generated} generated"
+        """The frames that the means are of, in words."""
+        count, generated = len(self._last), sum(frame.moment.alpha > 0 for frame in self._last)
+        return f"mean of the last {count} computed frame{'s' * (count != 1)}, {generated} generated"
+
+    @property
+    def _last(self) -> list[Frame]:
+        return list(self._frames)[-_MEAN:]
+
+    @property
+    def stages(self) -> dict[str, list[float]]:
+        """Kernel times by stage, of all frames, the latest last; of the stages that the last one has."""
+        times = [_by_stage(frame) for frame in self._frames]
+        return {name: [of.get(name, 0.0) for of in times] for name in (times[-1] if times else ())}
 
     def means(self) -> dict[str, float]:
         """Return the mean kernel times by stage, milliseconds."""
-        return {name: _mean(list(values)[-_MEAN:]) for name, values in self.stages.items()}
+        return {name: _mean(times[-_MEAN:]) for name, times in self.stages.items()}
 
     def of_stage(self, stage: str) -> dict[str, float]:
         """Return the mean times of a stage's kernels by their names, milliseconds."""
-        return {kernel: _mean(values) for (owner, kernel), values in self.kernels.items() if owner == stage}
+        found = [frame.kernels.get(stage, {}) for frame in self._last]
+        kernels = dict.fromkeys(name for of in found for name in of)
+        return {name: _mean([of.get(name, 0.0) for of in found]) for name in kernels}
 
-    def network(self) -> float:
-        return _mean(self._networks)
+    def network(self) -> tuple[float, float]:
+        """Return the mean times in the network's runtime, and of transfers to it and back, milliseconds."""
+        times = [frame.milliseconds for frame in self._last]
+        inside, copies = (_mean([of.get(name, 0.0) for of in times]) for name in ("network", "network copies"))
+        return inside, copies
 
-    def copies(self) -> float:
-        """Return the mean time of transfers from the device to the network's runtime and back, milliseconds."""
-        return _mean(self._copies)
-
-    def wall(self) -> float:
-        """Return the mean time from taking a request to its images, milliseconds."""
-        return _mean(self._walls)
-
-    def readback(self) -> float:
-        return _mean(self._readbacks)
+    def walls(self) -> tuple[int, float, float]:
+        """Return the number of those frames that followed the one before, and their mean times from taking the request
+        to its images, and of reading back in it, milliseconds."""
+        followed = [frame for frame in self._last if frame.submitted <= 1]
+        whole, readback = (_mean([getattr(frame, name) for frame in followed]) for name in ("wall_ms", "readback_ms"))
+        return len(followed), whole, readback
 
 
-def _mean(values) -> float:
-    return float(np.mean(values)) if len(values) else 0.0
+def _by_stage(frame: Frame) -> dict[str, float]:
+    taken = dict(frame.milliseconds)
+    network = taken.pop("network", 0.0) + taken.pop("network copies", 0.0)
+    return taken | ({"correction": taken["correction"] + network} if "correction" in taken else {})
+
+
+def _mean(values: list[float]) -> float:
+    return float(np.mean(values)) if values else 0.0

@@ -76,6 +76,8 @@ class Frame:
         Of rendered frame k.
     cuts : frozenset of int
         Rendered frames that were found to be cuts so far.
+    submitted : int
+        Rendered frames that were submitted for it: more than one after a jump.
     render_size : (width, height)
         Of rendered frame k.
     buffers : tuple of str
@@ -93,6 +95,7 @@ class Frame:
     warnings: tuple[str, ...] = ()
     bad_pixels: BadPixels = field(default_factory=BadPixels)
     cuts: frozenset[int] = frozenset()
+    submitted: int = 0
     render_size: tuple[int, int] = (0, 0)
     buffers: tuple[str, ...] = ()
 

@@ -330,6 +330,7 @@ class SlotMaker:
             warnings=(*source.warnings(), *notes),
             bad_pixels=seeker.bad_pixels,
             cuts=frozenset(seeker.cuts),
+            submitted=seeker.progress[1],
             render_size=size,
             buffers=buffers,
         )

@@ -22,11 +22,13 @@ def draw(app: App) -> None:
         imgui.text_disabled("nothing computed yet")
         return
     imgui.text_wrapped(f"interface {imgui.get_io().framerate:.0f} frames/s   upload {model.screen.upload_ms:.1f} ms")
-    imgui.text_wrapped(
-        f"{model.timings.text}: {model.timings.wall():.1f} ms from request to picture,"
-        f" {model.timings.readback():.1f} ms of it reading back"
-    )
-    widgets.tooltip("Frames from the cache count with the times of when they were computed")
+    count, wall, readback = model.timings.walls()
+    imgui.text_wrapped(f"kernels: {model.timings.text}")
+    widgets.tooltip("A frame that comes from the cache again does not count again")
+    if count:
+        of = f"mean of the {count} that followed the frame before"
+        imgui.text_wrapped(f"request to picture {wall:.1f} ms, of this reading back {readback:.1f} ms: {of}")
+        widgets.tooltip("A frame that was jumped to waits for all rendered frames since the last reset")
     held, mib = model.held, 1 << 20
     told = ", ".join(f"{name} {nbytes / mib:.0f}" for name, nbytes in held.items())
     imgui.text_wrapped(f"memory {sum(held.values()) / mib:.0f} of {model.store.most / mib:.0f} MiB: {told}")
@@ -46,7 +48,7 @@ def draw(app: App) -> None:
             is_open = imgui.tree_node_ex(f"{widgets.cut(name, room)}###stage {name}", flags)
             widgets.tooltip(name if name != "correction" else "")
             if name == "correction":
-                network, copies = model.timings.network(), model.timings.copies()
+                network, copies = model.timings.network()
                 widgets.tooltip(f"of this {network:.2f} ms in the network, {copies:.2f} ms in copies to it and back")
             _cost(columns, milliseconds, longest, color)
             if is_open:
