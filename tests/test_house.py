@@ -51,7 +51,6 @@ ROOMS_OF_VIEWER = (
     ("viewer.picture",),
     ("viewer.state",),
     ("viewer.window",),
-    ("viewer.automation",),
 )
 
 

@@ -29,7 +29,7 @@ def _list_actions(wanted: bool) -> None:
     if not wanted:
         return
     _require_packages()
-    from gffe_cl.viewer.automation.script import unopened
+    from gffe_cl.viewer.window.script import unopened
 
     for action in unopened().actions:
         shortcut = f" ({action.shortcut})" if action.shortcut else ""
@@ -112,10 +112,10 @@ def view(
     _require_packages()
     from gffe_cl.captures.scenes import is_scene
     from gffe_cl.engine.inference.network import load_network
-    from gffe_cl.viewer.automation.script import parse, play_script, require_film, take_screenshot, unopened
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
+    from gffe_cl.viewer.window.script import parse, play_script, require_film, take_screenshot, unopened
     from gffe_cl.viewer.window.start import leaving, require_display
     from gffe_cl.viewer.window.start import view as run_viewer
 

@@ -19,8 +19,7 @@ from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.engine.stages.buffers import Sizes, grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
-from gffe_cl.viewer.picture.canvas import Canvas, read
-from gffe_cl.viewer.picture.differences import FLIP_MAP
+from gffe_cl.viewer.picture.canvas import Canvas, read, texels_of
 from gffe_cl.viewer.picture.displays import (
     LABEL_COLORS,
     MASK_OFF,
@@ -32,8 +31,7 @@ from gffe_cl.viewer.picture.displays import (
     fitted,
 )
 from gffe_cl.viewer.picture.shown_numbers import numbers_of
-from gffe_cl.viewer.picture.textures import texels_of
-from gffe_cl.viewer.picture.view import CLIPPING, View
+from gffe_cl.viewer.picture.view import CLIPPING, FLIP_MAP, View
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
 COLOR, DEPTH, MOTION = (FRAME_LAYERS[f"rendered.{name}"] for name in ("color", "depth", "motion"))

@@ -17,8 +17,8 @@ from xvfb import SCREEN, require_screen
 
 from gffe_cl.cli import main
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.viewer.automation.script import Director, parse, unopened
 from gffe_cl.viewer.state.actions import Actions
+from gffe_cl.viewer.window.script import Director, parse, unopened
 
 GUIDE = Path(__file__).parents[2] / "docs" / "guide.md"
 GFFE = [sys.executable, "-c", "from gffe_cl.cli import main; main()", "view"]

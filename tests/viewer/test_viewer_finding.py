@@ -20,7 +20,6 @@ from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.metrics import REGIONS as TABLE
 from gffe_cl.lab.metrics import Flicker, Metric, psnr, squared_error, to_display
 from gffe_cl.lab.table.footage import find_labels
-from gffe_cl.viewer.engine.background import Background
 from gffe_cl.viewer.engine.figures import (
     NEEDED_BY_REGION,
     REGIONS,
@@ -30,6 +29,7 @@ from gffe_cl.viewer.engine.figures import (
     psnr_by_region,
     region_labels,
 )
+from gffe_cl.viewer.engine.jobs import Jobs
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.store import Store, Want
 from gffe_cl.viewer.picture.current_frame import Contents
@@ -155,7 +155,7 @@ class Surveying:
     """A survey of `a` and `b`, and an engine that makes one slot at each look; its error grows with the slot."""
 
     def __init__(self):
-        self.store, self.measured = Store(0), Measurements(Background("test"))
+        self.store, self.measured = Store(0), Measurements(Jobs("test"))
         self.survey = Survey(self.store, self.measured, Playback(count=8))
         self.a, self.b = side(), side(motion=False)
         self.made = []
@@ -295,7 +295,7 @@ def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
     metrics["broken"] = Metric("broken", "Broken", lambda shown, true: 1 / 0)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.METRICS", metrics)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.measurable", lambda: list(metrics.values()))
-    measured, frame = Measurements(Background("test")), made(slot=3)
+    measured, frame = Measurements(Jobs("test")), made(slot=3)
 
     def known():
         measured.update()

@@ -21,7 +21,7 @@ from gffe_cl.engine.stages.network import NetworkInput
 from gffe_cl.engine.stages.presentation import Presentation
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs
 from gffe_cl.engine.stages.warp import Connectivity
-from gffe_cl.viewer.engine.background import Background as Jobs
+from gffe_cl.viewer.engine.jobs import Jobs
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.displays import (
     COLOR_MAPS,

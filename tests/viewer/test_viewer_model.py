@@ -22,10 +22,10 @@ from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Option
 from gffe_cl.lab.metrics import to_display
-from gffe_cl.viewer.engine.doctor_worker import Doctor
 from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.state.captions import value_text
+from gffe_cl.viewer.state.document import Doctor
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback

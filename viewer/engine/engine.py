@@ -81,6 +81,7 @@ class Engine:
         self._kernels: Kernels | None = None
         self._makers: list[SlotMaker] = []  # the first of them has `source`, all others a sibling of it
         self._maker_at_work: SlotMaker | None = None
+        self._wanted: Want | None = None  # what is being made, or was last
         self._stored: StoredSlots | None = None  # the pictures of a setup that are not computed
         self._opened = 0  # sources
 
@@ -162,11 +163,7 @@ class Engine:
             except Interrupted:
                 pass  # something else comes first
             except Exception as error:
-                failure = _failure(error, kind)
-                if kind == "device":
-                    self._problem, self.device_name = failure.error, "no device"
-                with self._news:
-                    self._failures.append(failure)
+                self._fail(error, kind)
             self.activity = ""
             kind, do = self._next()
         self._makers = []
@@ -176,6 +173,21 @@ class Engine:
             self._kernels.release()
         if self._device:
             self._device.queue.finish()
+
+    def _fail(self, error: Exception, kind: str) -> None:
+        """Note why something could not be made. Of a picture that is what is shown in its place."""
+        want = self._wanted
+        if kind == "slot" and want is not None and self.source is not None:
+            if self._maker_at_work is not None and not want.key.recipe.setup.place:
+                self._maker_at_work.drop()
+            self.store.put(want, _failure(error, "inspection" if want.pixel else kind))
+            self.source.look_closer()
+            return
+        failure = _failure(error, kind)
+        if kind == "device":
+            self._problem, self.device_name = failure.error, "no device"
+        with self._news:
+            self._failures.append(failure)
 
     def _next(self) -> tuple[str, Callable[[], None]]:
         """Return what is to be done next, and its kind, which is empty to end: look for changed files from time to
@@ -189,6 +201,7 @@ class Engine:
                     self.activity = _ACTIVITIES[kind]
                     return kind, self._orders.pop(kind)
                 if (want := self.store.next()) is not None:
+                    self._wanted = want
                     return "slot", partial(self._do_want, want)
                 self._news.wait(WATCH_SECONDS)
         return "", self._do_watch
@@ -240,7 +253,7 @@ class Engine:
         self.build_log, self.build_error = self._kernels.log, self._kernels.error
 
     def _do_want(self, want: Want) -> None:
-        """Make what is wanted. A failure of it is what is shown in its place."""
+        """Make what is wanted."""
         source = self.source
         assert source is not None  # or nothing would be wanted of it
         if want.pose is not None and source.flight != want.key.recipe.flight:
@@ -249,13 +262,7 @@ class Engine:
                 if self.store.next() != want:
                     raise Interrupted
                 source.fly(k, j / (want.key.recipe.setup.n + 1), want.pose, want.key.recipe.flight)
-        try:
-            made = self._inspected(want) if want.pixel else self._made(want)
-        except (Closing, Interrupted):
-            raise
-        except Exception as error:
-            made = _failure(error, "inspection" if want.pixel else "slot")
-        self.store.put(want, made)
+        self.store.put(want, self._inspected(want) if want.pixel else self._made(want))
         source.look_closer()
 
     def _made(self, want: Want) -> Frame:

@@ -9,10 +9,12 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import (
     METRICS,
     Flicker,
+    Metric,
     focus_mask,
     measurable,
     shows,
@@ -21,7 +23,7 @@ from gffe_cl.lab.metrics import (
     world_positions,
 )
 from gffe_cl.lab.metrics import REGIONS as _TABLE
-from .background import Background
+from .jobs import Jobs
 from .messages import Frame, Key, Recipe
 
 NEEDED = frozenset({names.FINAL, names.TRUTH, names.DISOCCLUDED})
@@ -98,8 +100,8 @@ class Measurer:
         shown, true = displayed(frame, exposure)
         for metric in measurable():
             if metric.name not in values:
-                with suppress(Exception):  # whatever a binary package throws; `Measurements.measure` tells it
-                    values[metric.name] = metric.measure(shown, true)
+                with suppress(GffeError):  # `Measurements.measure` tells it
+                    values[metric.name] = _measured(metric, shown, true)
         change = self._change(frame, shown, true)
         if change is not None:
             values["flicker"] = change
@@ -126,7 +128,7 @@ class Measurements:
         Why figures could not be measured, since the last look.
     """
 
-    def __init__(self, background: Background):
+    def __init__(self, background: Jobs):
         self._background = background
         self._known: OrderedDict[Recipe, dict[int, Figures]] = OrderedDict()
         self._surveying: set[Key] = set()
@@ -188,9 +190,9 @@ class Measurements:
         for metric in measurable():
             if metric.slow == slow and metric.name not in known:
                 try:
-                    self._made.append((frame.key, Figures({metric.name: metric.measure(shown, true)})))
-                except Exception as error:  # whatever a binary package throws
-                    self.faults.append(f"{type(error).__name__}: {error}")
+                    self._made.append((frame.key, Figures({metric.name: _measured(metric, shown, true)})))
+                except GffeError as error:
+                    self.faults.append(str(error))
 
     def survey(self, frame: Frame, exposure: float) -> None:
         """Measure all quantities of a slot."""
@@ -201,16 +203,24 @@ class Measurements:
         self._background.run(self._by_quantities, self._measurers[recipe], frame, exposure, known)
 
     def _by_quantities(self, measurer: Measurer, frame: Frame, exposure: float, known: dict[str, float]) -> None:
+        figures = Figures({"kernels": sum(frame.milliseconds.values())}, surveyed=True)
         try:
             figures = measurer.measure(frame, exposure, known)
-        except Exception:
-            figures = Figures({"kernels": sum(frame.milliseconds.values())}, surveyed=True)
-        self._made.append((frame.key, figures))
+        finally:
+            self._made.append((frame.key, figures))
 
     @property
     def surveying(self) -> frozenset[Key]:
         """Slots whose quantities are being measured."""
         return frozenset(self._surveying)
+
+
+def _measured(metric: Metric, shown: np.ndarray, true: np.ndarray) -> float:
+    """Return the figure between display values. Raises GffeError."""
+    try:
+        return metric.measure(shown, true)
+    except Exception as error:  # whatever a binary package throws
+        raise GffeError(f"{type(error).__name__}: {error}") from error
 
 
 def displayed(frame: Frame, exposure: float) -> tuple[np.ndarray, np.ndarray]:

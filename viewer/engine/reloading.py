@@ -8,6 +8,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from pathlib import Path
 
+import pyopencl as cl
+
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.device import Device
@@ -68,7 +70,7 @@ class Kernels(dict):
             Composition(board)
             if network.default_model() or any(key[0] == ShadingCorrection.name for key in self):
                 ShadingCorrection(board, load=False)  # the network itself is not needed
-        except Exception as error:
+        except (GffeError, cl.Error, OSError, ValueError) as error:
             self._texts, self.error, self.log = before, str(error), getattr(error, "log", "") or str(error)
             return False
         self.error = None

@@ -30,7 +30,7 @@ from gffe_cl.engine.inspection.description import in_words
 from gffe_cl.engine.inspection.explain.motion_trail import Passed
 from gffe_cl.engine.inspection.explain.pixel_explain import pixel_story
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
-from gffe_cl.engine.inspection.layers import layers_of
+from gffe_cl.engine.inspection.layers import FRAME_GROUP, LayerSpec, layers_of
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -39,11 +39,25 @@ from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.timing.bench import memory
 from gffe_cl.lab.metrics import focus_mask
-from .invalid import INVALID, fault_at, invalid_pixels
-from .messages import Frame, Interrupted, Key, Recipe
+from .messages import Frame, Key, Recipe
 from .reloading import Kernels
 from .sources.source import FrameSource
 
+_FAULTS = {  # by fields of `BadPixels`, each a bit of a mask
+    "color": "its color is NaN or infinite, and counts as 0",
+    "depth": "its depth is NaN, 0, negative or denormal, so it is left out",
+    "motion": "its motion is NaN or infinite, so it is dynamic without history",
+    "long": "its motion is longer than the image's diagonal, so it is dynamic without history",
+}
+INVALID = LayerSpec(
+    "rendered.invalid",
+    "Invalid pixels",
+    FRAME_GROUP,
+    "label",
+    labels=((0, "valid"), (1, "color"), (2, "depth"), (4, "motion"), (8, "long motion")),
+    description="pixels of the input that cannot be used, by what is wrong",
+    grid="source",
+)
 _WARM_UP = 8  # rendered frames submitted before the one of a provisional slot
 
 
@@ -67,7 +81,7 @@ class Seeker:
         self.truth: np.ndarray | None = None  # of the shot, (H, W, 3), if it was asked for
         self.focus: np.ndarray | None = None  # where that says that shading is wrong, (H, W), likewise
         self.bad_pixels = BadPixels()
-        self.invalid: np.ndarray | None = None  # pixels of the frame submitted last: a mask, see `invalid_pixels`
+        self.invalid: np.ndarray | None = None  # pixels of the frame submitted last: a mask, see `_invalid_pixels`
         self.stored: RenderedFrame | None = None  # the frame submitted last, as an engine stored it, ...
         self.converted: RenderedFrame | None = None  # ... and in our conventions
         self._at: int | None = None  # the frame submitted last
@@ -218,7 +232,7 @@ class Seeker:
             )
         )
         self.bad_pixels = host.bad if self.stored and host else self._upload.take_bad_pixels() if host else BadPixels()
-        self.invalid = invalid_pixels(host, self.bad_pixels) if host and last else None
+        self.invalid = _invalid_pixels(host, self.bad_pixels) if host and last else None
 
 
 class SlotMaker:
@@ -267,21 +281,15 @@ class SlotMaker:
 
     def make(self, key: Key, layers: frozenset[str], to_inspect: bool = False) -> Frame:
         """Return the computed slot. `to_inspect`: the pipeline's buffers are to hold all layers, whichever are asked
-        for. Raises GffeError; the pipeline is forgotten then."""
+        for. After an error the pipeline must be dropped; after Interrupted it goes on from there next time."""
         start = time.perf_counter()
         alphas = (0.0, *alphas_for(key.recipe.setup.n))
         k, j = divmod(key.slot, len(alphas))
         if not 0 <= k < self.source.count:
             raise GffeError(f"slot {key.slot}: expected 0 to {self.source.count * len(alphas) - 1}")
         self.key, self.used_at = key, next(self._used)
-        try:
-            with self._kernels.used(key.recipe.kernels):
-                return self._made(key, layers, k, alphas[j], start, to_inspect)
-        except Interrupted:
-            raise  # goes on from there next time
-        except Exception:
-            self._seeker.drop()
-            raise
+        with self._kernels.used(key.recipe.kernels):
+            return self._made(key, layers, k, alphas[j], start, to_inspect)
 
     def _made(self, key: Key, layers: frozenset[str], k: int, alpha: float, start: float, to_inspect: bool) -> Frame:
         seeker, source = self._seeker, self.source
@@ -352,7 +360,7 @@ class SlotMaker:
         pipeline, shot = seeker.pipeline, seeker.shot
         assert pipeline is not None and self.key is not None  # as there is a shot
         values = pixel_values(pipeline, shot, x, y)
-        fault = fault_at(seeker.invalid, source_position(pipeline, shot, x, y))
+        fault = _fault_at(seeker.invalid, source_position(pipeline, shot, x, y))
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
             values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
@@ -395,3 +403,23 @@ def _changed_motion(stored: RenderedFrame, used: RenderedFrame, format: FrameFor
     given = described_frame(stored, plain, None, (0.0, 0.0)).motion
     assert given is not None  # as it is stored
     return np.asarray(used.motion, np.float32) - given
+
+
+def _invalid_pixels(host: RenderedFrame, found: BadPixels) -> np.ndarray:
+    """Return the mask of a rendered frame's invalid pixels, (H, W) uint8, a bit for each kind of fault; `found`: their
+    counts."""
+    mask = np.zeros(host.depth.shape, np.uint8)
+    wrong = host.wrong if found else {}
+    for bit, name in enumerate(_FAULTS):
+        if name in wrong:
+            mask |= wrong[name].astype(np.uint8) << bit
+    return mask
+
+
+def _fault_at(mask: np.ndarray | None, px: tuple[float, float] | None) -> str:
+    """Return what is wrong with the pixel of a mask at this position, pixels; empty for a valid one, and outside."""
+    if mask is None or px is None:
+        return ""
+    x, y = int(np.floor(px[0])), int(np.floor(px[1]))
+    bits = int(mask[y, x]) if 0 <= x < mask.shape[1] and 0 <= y < mask.shape[0] else 0
+    return "; ".join(text for bit, text in enumerate(_FAULTS.values()) if bits >> bit & 1)

@@ -18,10 +18,9 @@ import numpy as np
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import VIEWS, LayerSpec
 from gffe_cl.engine.stages.frame_block import reprojection
-from . import differences, displays
+from . import displays
 from .displays import TONE_MAPS, Display, FrameInfo, Rgb, shown_as
-from .textures import Texture, texels_of
-from .view import CLIPPING, COMPARISONS, OVERLAYS, Size, View
+from .view import CLIPPING, COMPARISONS, DIFFERENCES, OVERLAYS, Size, View, compared_as, full_scale
 
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
 # of display.frag
@@ -42,6 +41,48 @@ class Tile:
     y: int
     width: int
     height: int
+
+
+_DTYPES = {"uint8": "f1", "float16": "f2", "float32": "f4"}
+
+
+class Texture:
+    """A layer on the GPU: (planes, H, W, components) texels."""
+
+    def __init__(self, ctx: moderngl.Context, texels: np.ndarray):
+        planes, height, width, self.components = texels.shape
+        self.size, self.format = (width, height), (texels.shape, texels.dtype)
+        dtype = _DTYPES[texels.dtype.name]
+        self.texels = ctx.texture_array((width, height, planes), self.components, alignment=1, dtype=dtype)
+        self.texels.repeat_x = self.texels.repeat_y = False
+        self.texels.filter = (moderngl.LINEAR, moderngl.LINEAR)
+        self.planes, self.unit = planes, 255.0 if dtype == "f1" else 1.0
+        self.mipmaps = 0  # levels of the present texels, besides themselves
+        self.spec: LayerSpec | None = None
+        self.frame: FrameInfo | None = None
+
+    def release(self) -> None:
+        self.texels.release()
+
+    def have_mipmaps(self, levels: int) -> None:
+        """Make at least this many mipmaps for smaller display, with interpolation between two of them."""
+        if levels > self.mipmaps:
+            self.texels.build_mipmaps(max_level=levels)
+            self.texels.filter = (moderngl.LINEAR_MIPMAP_LINEAR, moderngl.LINEAR)
+            self.mipmaps = levels
+
+
+def texels_of(array: np.ndarray, spec: LayerSpec, most: int) -> np.ndarray | None:
+    """Return (planes, H, W, C) of one of _DTYPES, C-contiguous; None for an empty image."""
+    array = np.asarray(array)
+    if spec.planes == 1 and array.ndim < 4:
+        array = array[None]
+    array = array[..., None] if array.ndim == 3 else array[..., :4]
+    if array.ndim != 4 or not array.size:
+        return None
+    step = math.ceil(max(array.shape[1:3]) / most)
+    array = array[:, ::step, ::step]
+    return np.ascontiguousarray(array, array.dtype if array.dtype.name in _DTYPES else np.float32)
 
 
 @dataclass(frozen=True)
@@ -81,7 +122,7 @@ class _Program:
 def _constants() -> Iterator[str]:
     """Yield definitions of the shader's constants."""
     numbered = ("", VIEWS), ("TONE_", TONE_MAPS), ("MAP_", displays.COLOR_MAPS), ("", COMPARISONS), ("", OVERLAYS)
-    for prefix, listed in (*numbered, ("", differences.DIFFERENCES)):
+    for prefix, listed in (*numbered, ("", DIFFERENCES)):
         for number, name in enumerate(listed):
             yield f"#define {prefix}{name.split()[0].upper()} {number}"
     yield f"#define MAPS {len(displays.COLOR_MAPS)}"
@@ -295,7 +336,7 @@ class Canvas:
             "corner": corner,
             "size": size,
             "grid_contrast": contrast,
-            "difference": differences.DIFFERENCES.index(view.difference),
+            "difference": DIFFERENCES.index(view.difference),
             "difference_high": self._difference_high(view, layers),
             "error_squared": view.error == "squared",
             "error_high": max(view.error_high, 1e-12),
@@ -313,7 +354,7 @@ class Canvas:
                 sides.append((layer.spec, display))
         if len(sides) < 2:
             return 1.0
-        return differences.full_scale(differences.compared_as(*sides), view.difference, view.gain, sides[0][1])
+        return full_scale(compared_as(*sides), view.difference, view.gain, sides[0][1])
 
     def _grid_contrast(self, view: View, shown: _Shown) -> float:
         """Return the contrast of the lines between pixels; 0: there are none."""

@@ -8,7 +8,7 @@
    GRID (1: there are lines between pixels). All else is uniforms. */
 
 /* COLOR, TONE_ACES, MAP_HEAT, ERROR, SIGNED, EDGES and so on are the places in VIEWS (layers.py), TONE_MAPS and COLOR_MAPS
-   (displays.py), COMPARISONS and OVERLAYS (view.py) and DIFFERENCES (differences.py): canvas.py defines them. */
+   (displays.py), COMPARISONS, OVERLAYS and DIFFERENCES (view.py): canvas.py defines them. */
 
 /* Edges, from where they begin to show to where they are full: second difference of inverse depth, relative (planes
    have none), and of motion, pixels; first difference of displayed brightness. */

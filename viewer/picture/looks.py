@@ -9,7 +9,7 @@ import numpy as np
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
-from ..engine.background import Background, Derived
+from ..engine.jobs import Derived, Jobs
 from .current_frame import Contents
 from .displays import Display, FrameInfo, default_display, fitted, shown_as, shown_values
 from .view import View
@@ -140,7 +140,7 @@ class Histogram:
         None until they are known, and where there is nothing to count.
     """
 
-    def __init__(self, view: View, contents: Contents, looks: Looks, background: Background):
+    def __init__(self, view: View, contents: Contents, looks: Looks, background: Jobs):
         self._view, self._contents, self._looks = view, contents, looks
         self._derived = Derived(background)
         self.counts: Counts | None = None

@@ -11,9 +11,8 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import to_display
 from .current_frame import Contents
-from .differences import FLIP_MAP, FLIP_SPEC, difference, error
 from .displays import Display, FrameInfo, displaced, off_fragments, shown_as
-from .view import View
+from .view import FLIP_MAP, FLIP_SPEC, View, difference, error
 
 
 @dataclass(frozen=True)

@@ -9,12 +9,10 @@ import numpy as np
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
-from ..picture import differences
 from ..picture.current_frame import Contents
-from ..picture.differences import FLIP_SPEC, Side
 from ..picture.displays import LABEL_COLORS, MASK_OFF, SKY, Display, Rgb, color_table, label_flip, shown_as, wheel_color
 from ..picture.looks import Looks
-from ..picture.view import CLIPPING, View
+from ..picture.view import CLIPPING, COLOR, FLIP_SPEC, Side, View, compared_as, full_scale, has_direction, unit_of
 from .comparing import Comparison
 from .playback import Playback
 
@@ -168,7 +166,7 @@ def _error_unit(view: View, contents: Contents, looks: Looks) -> str:
     sides = _sides(view, contents, looks)
     if view.compare == "flip error":
         return "FLIP, 0 to 1"
-    unit = differences.unit_of(*sides) if sides else ""
+    unit = unit_of(*sides) if sides else ""
     return f"{unit}, squared" if view.error == "squared" and unit else unit
 
 
@@ -177,16 +175,16 @@ def _difference(view: View, contents: Contents, looks: Looks, comparison: Compar
     sides, title = _sides(view, contents, looks), comparison.scale_text()
     if sides is None:
         return [Entry(title, Legend("none"))]
-    kind, how = differences.compared_as(*sides), view.difference
-    high, unit = differences.full_scale(kind, how, view.gain, sides[0][1]), differences.unit_of(*sides, how)
+    kind, how = compared_as(*sides), view.difference
+    high, unit = full_scale(kind, how, view.gain, sides[0][1]), unit_of(*sides, how)
     if kind in ("label", "mask"):
         ends = color_table("heat")
         labels = (("equal", tuple(ends[0].tolist())), ("different", tuple(ends[-1].tolist())))
         return [Entry(title, Legend("none", labels=labels))]
-    if differences.has_direction(kind, how):
+    if has_direction(kind, how):
         return [Entry(title, legend(_MOTION, Display(motion_scale=high)))]
     color_map = "diverging" if how == "signed" and kind != "world" else "heat"
-    if how == "absolute" and kind == differences.COLOR:
+    if how == "absolute" and kind == COLOR:
         color_map = "gray"
     display = Display(low=-high if color_map == "diverging" else 0.0, high=high, color_map=color_map)
     return [Entry(title, replace(legend(FLIP_SPEC, display), unit=unit), color_map)]

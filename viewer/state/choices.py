@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.options import Options
-from ..engine.background import Background
+from ..engine.jobs import Jobs
 from ..engine.messages import Setup
 from ..picture.current_frame import Contents
 from ..picture.displays import Display
@@ -42,7 +42,7 @@ class Choices:
         playback: Playback,
         window: str | None,
         contents: Contents,
-        background: Background,
+        background: Jobs,
     ):
         self.settings, self.playback, self._contents = settings, playback, contents
         self.parameters = Parameters(options, playback, window)

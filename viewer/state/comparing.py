@@ -13,13 +13,12 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import METRICS
-from ..engine.background import Background, Derived
 from ..engine.engine import Engine
+from ..engine.jobs import Derived, Jobs
 from ..picture.current_frame import Contents
-from ..picture.differences import DIFFERENCES, FLIP_MAP, FLIP_SPEC, flip_map
 from ..picture.displays import Display
 from ..picture.looks import Looks
-from ..picture.view import ERRORS, View
+from ..picture.view import DIFFERENCES, ERRORS, FLIP_MAP, FLIP_SPEC, View, flip_map
 from .parameters import Parameters
 from .presets import Kept, KeptSettings
 
@@ -33,7 +32,7 @@ _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}
 class Comparison:
     """Comparison of A and B of a view; "flip error" is a map that is computed on the host."""
 
-    def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings, background: Background):
+    def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings, background: Jobs):
         self._view, self._contents, self._looks, self._settings = view, contents, looks, settings
         self._by_settings = False
         self.same_settings = False  # B's settings are A's
@@ -209,9 +208,9 @@ class Comparison:
             view.compare = "off"
             return "FLIP compares images of one size"
         key = contents.changes, view.a, view.b
-        try:
-            made = self._maps.get(key, flip_map, a, b, contents.source.exposure)
-        except Exception as error:  # whatever a binary package throws
+        made = self._maps.get(key, flip_map, a, b, contents.source.exposure)
+        if error := self._maps.error:
+            self._maps.forget()
             view.compare = "off"
             return f"FLIP failed: {error}"
         if made is not None and made is not self.flip_map:

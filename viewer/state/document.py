@@ -4,16 +4,66 @@ from __future__ import annotations
 
 from functools import partial
 from itertools import islice
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
-from ..engine.doctor_worker import Doctor
+from gffe_cl.captures.sequence import Sequence
+from gffe_cl.engine.core.errors import GffeError
 from ..engine.engine import Engine, open_viewer_device
+from ..engine.jobs import Jobs
 from ..engine.messages import Key, Recipe
 from ..engine.sources.opening import ScenePlan, make_source
 from ..engine.sources.source import FrameSource
 from ..engine.store import Playhead, Store, Want
 from ..picture.current_frame import Contents
 from .playback import Playback
+
+if TYPE_CHECKING:
+    from gffe_cl.captures.doctor import Finding
+
+_WRONG_PLACE = "does not follow the frame before it (doctor)"
+
+
+class Doctor:
+    """Diagnosis of a sequence (`gffe check`), on a thread of its own; nothing is found before it is `done`."""
+
+    def __init__(self, sequence: Sequence):
+        self._job = Jobs("doctor").run(_examined, sequence)
+
+    @property
+    def done(self) -> bool:
+        return self._job.done()
+
+    @property
+    def problem(self) -> str:
+        """Why the sequence could not be examined."""
+        error = self._job.exception() if self.done else None
+        return "" if error is None else str(error) if isinstance(error, GffeError) else repr(error)
+
+    @property
+    def findings(self) -> list[Finding]:
+        """Faults first, then notes and what cannot be told."""
+        return self._job.result().findings if self.done and not self.problem else []
+
+    @property
+    def converts(self) -> bool:
+        """Whether a format to paste undoes all faults."""
+        return bool(self.findings) and self._job.result().found is not None
+
+    @property
+    def marks(self) -> dict[int, str]:
+        """Rendered frames that something is said of, with what."""
+        if not self.findings:
+            return {}
+        from gffe_cl.captures.doctor.findings import UNKNOWN, AtFrame  # loaded by now
+
+        alone = [one.frame for one in self.findings if isinstance(one, AtFrame) and one.kind != UNKNOWN]
+        return dict.fromkeys(alone, _WRONG_PLACE)
+
+
+def _examined(sequence: Sequence) -> Any:
+    from gffe_cl.captures.doctor import examine
+
+    return examine(sequence, sequence.exposure, sequence.format)
 
 
 class Document:

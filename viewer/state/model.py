@@ -11,9 +11,8 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.options import Options
-from ..engine.background import Background
-from ..engine.doctor_worker import Doctor
 from ..engine.figures import Figures, Measurements, Timings
+from ..engine.jobs import Jobs
 from ..engine.messages import Failure, Key, Recipe, Setup
 from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
@@ -24,7 +23,7 @@ from ..picture.shown_numbers import largest
 from .captions import Captions, Message
 from .choices import Choices
 from .comparing import BUILD_LETTERS, Sides
-from .document import Document
+from .document import Doctor, Document
 from .navigation import Flights, Pointing, Walk
 from .playback import Playback
 from .saving import Saving, Subject
@@ -61,7 +60,7 @@ class Model:
         self.engine, self.store, self.contents = document.engine, document.store, document.contents
         if start:  # else there is no device, and nothing can be opened
             self.engine.start()
-        self._background = beside = Background("beside")  # of all that follows from what is shown
+        self._background = beside = Jobs("beside")  # of all that follows from what is shown
         self.choices = choices = Choices(settings, options, self.playback, window, self.contents, beside)
         self.view, self.framing, self.looks = choices.view, choices.framing, choices.looks
         self.parameters, self.kept, self.comparison = choices.parameters, choices.kept, choices.comparison

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
 from concurrent.futures import Future, wait
 from dataclasses import dataclass, replace
 
-from ..engine.background import Background
+from ..engine.jobs import Jobs
 from ..picture.canvas import read
 from ..picture.current_frame import Contents
 from ..picture.view import View
@@ -156,7 +156,7 @@ class Subject:
         return read(canvas.draw(view, (width, height), "export"))
 
 
-class Work:
+class SavingWork:
     """A save in progress: `done` of `total`; `layers` are read back for it."""
 
     def __init__(self, subject: Subject, stem: str, suffix: str):
@@ -172,7 +172,7 @@ class Work:
         raise NotImplementedError
 
 
-class PictureWork(Work):
+class PictureWork(SavingWork):
     """Saving of the view as it is compared and displayed, one display pixel to a pixel, as PNG."""
 
     def __init__(self, subject: Subject):
@@ -188,7 +188,7 @@ class PictureWork(Work):
         return write
 
 
-class LayersWork(Work):
+class LayersWork(SavingWork):
     """Saving of all layers of the present slot as EXR files in a new folder."""
 
     def __init__(self, subject: Subject):
@@ -222,9 +222,9 @@ class Saving:
 
     def __init__(self, subject: Subject, say: Callable[[str, bool], None]):
         self.subject, self._say = subject, say
-        self.work: Work | None = None
+        self.work: SavingWork | None = None
         self.saved: Path | None = None
-        self._background = Background("saving")
+        self._background = Jobs("saving")
         self._writing: Future[str] | None = None
 
     def choose_folder(self, place: str) -> None:
@@ -234,7 +234,7 @@ class Saving:
             self.subject.folder = folder
         self._say(f"saves into {folder}" if folder.is_dir() else f"{folder}: no such folder", not folder.is_dir())
 
-    def start(self, work: Callable[[Subject], Work]) -> None:
+    def start(self, work: Callable[[Subject], SavingWork]) -> None:
         """Start saving in the background."""
         self.work, self._writing = work(self.subject), None
 

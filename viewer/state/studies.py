@@ -18,8 +18,8 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import FRAME_GROUP, LayerSpec
 from gffe_cl.engine.options import OPTIONS
 from gffe_cl.lab.metrics import METRICS, squared_error
-from ..engine.background import Background
 from ..engine.figures import NEEDED_BY_REGION, displayed, psnr_by_region, region_labels
+from ..engine.jobs import Jobs
 from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
 from ..picture.displays import FrameInfo
@@ -119,7 +119,7 @@ class Study:
 class Studies:
     """All studies. `background` runs their computations."""
 
-    def __init__(self, store: Store, background: Background):
+    def __init__(self, store: Store, background: Jobs):
         self._store, self._background = store, background
         self.differing, self.ablation, self.over_time = Differing(), Ablation(), OverTime()
         self.all: tuple[Study, ...] = (self.differing, self.ablation, self.over_time)

@@ -243,7 +243,7 @@ def stepped(option: Option, value: float | None, steps: int) -> float | int:
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value
 
 
-class Window(Protocol):
+class Popup(Protocol):
     """Window over the panels; `draw` returns whether it has the focus."""
 
     @property
@@ -263,9 +263,9 @@ class Stack:
         Whether one of them is open, or a menu or list of ImGui's.
     """
 
-    def __init__(self, dismiss: Callable[[], None], *windows: Window):
+    def __init__(self, dismiss: Callable[[], None], *windows: Popup):
         self._dismiss, self._windows = dismiss, windows
-        self._open: list[Window] = []  # the one on top last
+        self._open: list[Popup] = []  # the one on top last
         self._popup = self.covers = False
 
     def draw(self) -> None:

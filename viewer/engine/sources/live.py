@@ -27,7 +27,7 @@ _LONGEST_GAP = 8.0  # rendered frames between two flown poses that are of one fl
 
 
 @dataclass
-class _Made:
+class _LiveFrame:
     """A frame of a scene on the device, where it was rendered. `previous`: render camera that its motion refers to;
     `rows`: some rows of its depth, for an adaptive window."""
 
@@ -84,7 +84,7 @@ class SceneSource(Live, FrameSource):
 
     def _empty_ring(self) -> None:
         """Drop the frames on the device, and set how many of the present size may be kept."""
-        self._ring: OrderedDict[tuple, _Made] = OrderedDict()
+        self._ring: OrderedDict[tuple, _LiveFrame] = OrderedDict()
         self._ring_size = max(_LEAST_RING, self._most // (sum(BYTES_PER_PIXEL) * math.prod(self.render_size)))
         self.held = min(REMEMBERED, self._ring_size - 1)
 
@@ -100,7 +100,7 @@ class SceneSource(Live, FrameSource):
 
     def restart(self):
         super().restart()
-        self._before: _Made | None = None  # delivered last
+        self._before: _LiveFrame | None = None  # delivered last
         self._seen: dict[int, Camera] = {}  # display cameras of the frames delivered since then
         self._was_flown = False  # when one of them was delivered
 
@@ -179,7 +179,7 @@ class SceneSource(Live, FrameSource):
         self._truths.move_to_end(key)
         return self._truths[key]
 
-    def _made(self, k: int, before: _Made | None) -> _Made:
+    def _made(self, k: int, before: _LiveFrame | None) -> _LiveFrame:
         """Return frame `k` after `before`; without one, the frame as it was made for the window in use, whichever frame
         was before it then."""
         flown = self._flown_camera(k)
@@ -197,7 +197,7 @@ class SceneSource(Live, FrameSource):
         self._ring.move_to_end(key)
         return self._ring[key]
 
-    def _render(self, k: int, shown: Camera, camera: Camera, before: RenderedFrame | None) -> _Made:
+    def _render(self, k: int, shown: Camera, camera: Camera, before: RenderedFrame | None) -> _LiveFrame:
         device, size = self._device, self.render_size
         image = self._frames.image(self.time(k), camera, before, k)
         if len(self._ring) >= self._ring_size:
@@ -208,7 +208,7 @@ class SceneSource(Live, FrameSource):
             buffers = color, depth, motion
         image.copy_to(buffers)
         rows = read_some_rows(device, buffers[1], size) if self._way[0] == "adaptive" else None
-        return _Made(
+        return _LiveFrame(
             k,
             RenderedFrame(*buffers, camera=camera, time=self.time(k), display_camera=shown),
             before and before.camera,

@@ -19,7 +19,7 @@ from gffe_cl.captures.sequence import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
-from ..background import Background
+from ..jobs import Jobs
 from .source import CACHE_BYTES, FrameSource
 
 _AT_ONCE = 256  # files that are looked at in one turn
@@ -157,7 +157,7 @@ class RecordedSource(Recorded, FrameSource):
         check, self.check = self.check, None
         if check is not None:
             self.is_checked = False
-            Background("check").run(self._suspect, check)
+            Jobs("check").run(self._suspect, check)
 
     def _suspect(self, check):
         try:
@@ -212,7 +212,7 @@ class _ReadAhead:
         self._most, self.nbytes = nbytes, 0
         self._kept: OrderedDict[Hashable, Any] = OrderedDict()
         self._coming: dict[tuple, Future] = {}
-        self._background = Background("read")
+        self._background = Jobs("read")
 
     def get(self, key: tuple, read: Callable[[], Any]) -> Any:
         """Return the stored or pending result, else that of `read`; raises its errors, and tries again next time."""

@@ -17,9 +17,9 @@ from ..state.model import Model
 from ..state.playback import EVERY_FRAME
 from ..state.saving import save_png
 from ..state.settings import Settings
-from ..window.app import App
-from ..window.commands import nearest, numbers
-from ..window.running import new_app, run
+from .app import App
+from .commands import nearest, numbers
+from .running import new_app, run
 
 RATE = 8.0  # steps of the clock per second, and frames of the film
 SIZE, SHOT_SIZE = (1120, 700), (1600, 900)  # of the window: of a script, and of a screenshot
@@ -31,7 +31,7 @@ _LONGEST_WAIT = 3600.0  # seconds
 
 
 @dataclass(frozen=True)
-class Step:
+class Line:
     """An action with its argument, if it takes one. `where` it is written begins the messages of its errors. `settles`:
     it waits until the picture stands."""
 
@@ -46,7 +46,7 @@ def unopened() -> App:
     return new_app(Model(Settings(), start=False, save_settings=False))
 
 
-def parse(path: Path, actions: Actions) -> list[Step]:
+def parse(path: Path, actions: Actions) -> list[Line]:
     """Return the steps of a script: one a line, empty lines and those that begin with # left out. Raises GffeError for
     unknown actions."""
     try:
@@ -63,19 +63,19 @@ def parse(path: Path, actions: Actions) -> list[Step]:
     return steps
 
 
-def _step(where: str, text: str, actions: Actions) -> Step:
+def _step(where: str, text: str, actions: Actions) -> Line:
     id, *argument = text.split(None, 1)
     if id in actions and actions[id].takes:
         if not argument:
             raise GffeError(f"{where}: expected {id} {actions[id].takes}")
-        return Step(where, id, (argument[0],))
+        return Line(where, id, (argument[0],))
     if text not in actions:
         near = nearest(text, [action.id for action in actions])
         raise GffeError(f"{where}: no action is called '{text}' (nearest: {near}; all: gffe view --actions)")
-    return Step(where, text)
+    return Line(where, text)
 
 
-def play_script(model: Model, steps: list[Step], film: Path | None = None, size: tuple[int, int] | None = None) -> None:
+def play_script(model: Model, steps: list[Line], film: Path | None = None, size: tuple[int, int] | None = None) -> None:
     """Run the steps in a window of its own, and write a `film` of it, WebP or GIF. Time passes only while the display
     is up to date, so that slow machines make the same film. Raises GffeError."""
     director = Director(steps, film is not None)
@@ -94,16 +94,16 @@ def take_screenshot(
     """Save a picture of the window to `path` after the steps (option, action, argument). Raises GffeError."""
     _require_picture(path)
     listed = [
-        Step(option, action, (argument,) if argument else (), settles=False) for option, action, argument in steps
+        Line(option, action, (argument,) if argument else (), settles=False) for option, action, argument in steps
     ]
-    play_script(model, [*listed, Step("--screenshot", "shot", (str(path),))], size=size or SHOT_SIZE)
+    play_script(model, [*listed, Line("--screenshot", "shot", (str(path),))], size=size or SHOT_SIZE)
 
 
 class Director:
     """Director of a script, called once per frame of the interface: does the next step when the last one is on the
     screen, and closes the window after the last; `frames` are those of the film."""
 
-    def __init__(self, steps: list[Step], film: bool):
+    def __init__(self, steps: list[Line], film: bool):
         self._steps, self._film = list(steps), film
         self._where = steps[0].where  # of the last step
         self.problem: str | None = None
@@ -185,7 +185,7 @@ class Director:
 
         app.captures.append(taken)
 
-    def _do(self, app: App, step: Step) -> None:
+    def _do(self, app: App, step: Line) -> None:
         self._where = step.where
         try:
             if step.action not in app.actions or not app.actions.run(step.action, *step.argument):

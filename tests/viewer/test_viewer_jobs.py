@@ -3,7 +3,7 @@
 import time
 import weakref
 
-from gffe_cl.viewer.engine import background
+from gffe_cl.viewer.engine import jobs
 
 
 def test_no_job_outlives_the_program(monkeypatch):
@@ -13,12 +13,12 @@ def test_no_job_outlives_the_program(monkeypatch):
         while True:
             time.sleep(0.01)
 
-    monkeypatch.setattr(background, "_PATIENCE", 0.2)
-    monkeypatch.setattr(background, "_all", weakref.WeakSet())  # nobody else's
-    made = background.Background("endless")
+    monkeypatch.setattr(jobs, "_PATIENCE", 0.2)
+    monkeypatch.setattr(jobs, "_all", weakref.WeakSet())  # nobody else's
+    made = jobs.Jobs("endless")
     future = made.run(endless)
     while not future.running():
         time.sleep(0.001)
-    background._end()
+    jobs._end()
     assert made._thread is not None and not made._thread.is_alive()
     assert isinstance(future.exception(), SystemExit)

@@ -12,10 +12,10 @@ from concurrent.futures import Future
 from typing import Any
 
 _PATIENCE = 5.0  # seconds that the end of the program waits for jobs under way, and then for those that it gives up
-_all: weakref.WeakSet[Background] = weakref.WeakSet()
+_all: weakref.WeakSet[Jobs] = weakref.WeakSet()
 
 
-class Background:
+class Jobs:
     """Runs jobs one after the other on a thread, which starts with the first of them and keeps no program alive."""
 
     def __init__(self, name: str):
@@ -81,11 +81,12 @@ class Derived:
     """A value that follows from what is shown; it is made in the background, for what was asked for last, before jobs
     that wait."""
 
-    def __init__(self, background: Background):
+    def __init__(self, background: Jobs):
         self._background = background
         self._future: Future | None = None
         self._wanted = self._coming = self._made = None  # their keys
         self._value: Any = None
+        self.error: BaseException | None = None
 
     @property
     def ready(self) -> bool:
@@ -93,13 +94,14 @@ class Derived:
         return self._made is not None and self._made == self._wanted
 
     def get(self, key: Hashable, make: Callable[..., Any], *arguments: Any) -> Any:
-        """Return the last value; None without one. If it is not that of `key`, `make` is called for it as soon as
-        nothing else is being made. Raises the error of `make`, once."""
+        """Return the last value; None without one, and where `make` failed: `error` is why. If it is not that of `key`,
+        `make` is called for it as soon as nothing else is being made."""
         self._wanted = key
         future = self._future
         if future is not None and future.done():
             self._future, self._made = None, self._coming
-            self._value = future.result()
+            self.error = future.exception()
+            self._value = future.result() if self.error is None else None
         if self._future is None and key != self._made:
             self._coming = key
             self._future = self._background.run(make, *arguments, soon=True)
@@ -107,12 +109,12 @@ class Derived:
 
     def forget(self) -> None:
         """Drop the value, and the one that is being made."""
-        self._future = self._wanted = self._made = self._value = None
+        self._future = self._wanted = self._made = self._value = self.error = None
 
 
 @atexit.register
 def _end() -> None:
     """End all threads before the interpreter stops them: within a binary package that is a crash."""
-    for end in (Background.close, Background.join, Background.give_up, Background.join):
+    for end in (Jobs.close, Jobs.join, Jobs.give_up, Jobs.join):
         for background in list(_all):
             end(background)

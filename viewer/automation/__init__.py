@@ -1,1 +1,0 @@
-"""The viewer without a user: scripts, films and screenshots."""
