@@ -123,10 +123,6 @@ INLINE Collection collection_of(__constant Frame *frame, const int level, const 
     return made;
 }
 
-INLINE bool lands(const float3 now, const int width, const int height) {
-    return now.z > 0.0f && holds(width, height, now.xy);
-}
-
 /* Offers a fragment of B'_level, where it lies now, to B_level if its texel is still empty (case 1), or to the next
    level if it lies behind the fragment in B_level (case 2): what is pushed there takes its texel before that level's
    own fragments come. And to the empty texels that it touches, where every fragment of their own goes before:
@@ -517,31 +513,9 @@ typedef struct {
     __global uchar *filled_by;
 } NewFrame;
 
-/* What set the thresholds: docs/deviations.md, "Two levels of background". */
-#define SUPPORT_AT 2        /* px from a pixel to those that must show the same surface ... */
-#define SUPPORT_LEAST 3     /* of four, where what a static surface hid would show */
-#define SUPPORT_ALIKE 0.1f  /* relative difference of depth within one surface */
-
-/* Whether at least SUPPORT_LEAST of the four pixels SUPPORT_AT away show, or are offered, a surface of depth z. */
-INLINE bool is_supported(const int dst_x, const int dst_y, const float z, __constant Frame *frame,
-                         __global const uchar *disoccluded, const NewFrame to) {
-    int support = 0;
-#pragma unroll 1
-    for (int k = 0; k < 4; ++k) {
-        const int step = k & 1 ? SUPPORT_AT : -SUPPORT_AT, x = dst_x + (k & 2 ? step : 0),
-                  y = dst_y + (k & 2 ? 0 : step);
-        if (!inside(x, y, frame->target_width, frame->target_height)) continue;
-        const int i = y * frame->target_width + x;
-        const float there = disoccluded[i] ? as_float(depth_bits_of(to.keys, i)) : to.depth[i];
-        support += is_same_surface(there, z, SUPPORT_ALIKE * z);
-    }
-    return support >= SUPPORT_LEAST;
-}
-
 /* Fills an open pixel that a remembered fragment won, unless it is a mover's. `texels`: of all levels. Returns whether
    it is filled. */
-INLINE bool fill_pixel(const int dst, __global const uchar *disoccluded, Texels texels, __constant Frame *frame,
-                       const NewFrame to) {
+INLINE bool fill_pixel(const int dst, Texels texels, __constant Frame *frame, const NewFrame to) {
     const int dst_x = dst % frame->target_width, dst_y = dst / frame->target_width;
     const uint winner = winner_of(to.keys, to.winners, dst);
     if (winner == NOBODY || IS_OF_MOVER(to.filled_by[dst])) return false; /* its key may be a reappearing part's */
@@ -555,7 +529,6 @@ INLINE bool fill_pixel(const int dst, __global const uchar *disoccluded, Texels 
     const float z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, frame->to_target).z;
     const float3 px_source = reproject(center, z, frame->to_source);
     if (!lands(px_source, frame->source_width, frame->source_height)) return false; /* only the footprint reaches it */
-    if (level >= 1 && !is_supported(dst_x, dst_y, z, frame, disoccluded, to)) return false;
     const float side = (float)(1 << level) * (isinf(z) ? 1.0f : divide(z_winner, z));
     const float3 code = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner,
                                      side * frame->zoom, center, frame, texels);
@@ -590,7 +563,7 @@ WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
-        if (item < TEAMS) is_filled[item] = own != NO_ENTRY && fill_pixel((int)own, disoccluded, texels, frame, to);
+        if (item < TEAMS) is_filled[item] = own != NO_ENTRY && fill_pixel((int)own, texels, frame, to);
         barrier(CLK_LOCAL_MEM_FENCE);
         const bool mixes = frame->far_side && is_filled[team];
         const int hole = mixes ? (int)entry_of(open, first + team) : 0;

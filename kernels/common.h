@@ -17,6 +17,16 @@
 #define INLINE static inline __attribute__((always_inline))
 #endif
 
+/* In the programs of kernels/stories/, which define STORY, functions note in `told` of a struct what they decide by,
+   for the story of a pixel. Nothing of it is left in others. */
+#ifdef STORY
+#define TOLD __global float *told;
+#define TELL(of, what, value) (of).told[what] = (float)(value)
+#else
+#define TOLD
+#define TELL(of, what, value)
+#endif
+
 #define INVALID_DEPTH(z) (!((z) > 0.0f))  /* NaN, zero, negative */
 #define COLOR_MAX 65504.0f
 
@@ -90,6 +100,11 @@ INLINE bool inside(const int x, const int y, const int width, const int height) 
 /* Whether a pixel, in floats that may be too large for integers, lies in the image. */
 INLINE bool holds(const int width, const int height, const float2 px) {
     return px.x >= 0.0f && px.y >= 0.0f && px.x < (float)width && px.y < (float)height;
+}
+
+/* Whether a reprojected position lies in the image, before its camera. */
+INLINE bool lands(const float3 px, const int width, const int height) {
+    return px.z > 0.0f && holds(width, height, px.xy);
 }
 
 /* Pixel position and depth -> view space. For sky (z = inf) the direction with z = 1. */

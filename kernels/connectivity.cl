@@ -91,13 +91,6 @@ WIDE __kernel void find_links(__constant Frame *restrict frame, __global const f
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     const Collecting to = {levels_state, keys, winners};
     if (x >= width || y >= height) return;
-    if (collect && frame->levels > 1 && !((x | y) & 1)) { /* level 1 is EMPTY */
-        const int first = frame->level_starts.x + y / 2 * ((width + 1) / 2) + x / 2;
-        for (int k = 0; k < (min(LANES, width - x) + 1) / 2; ++k) {
-            levels_state[first + k] = EMPTY;
-            forget(keys, winners, first + k);
-        }
-    }
     if (links_are_known(block_of(x, y, width), frame, last_stir)) return;
     Span p = {x, y, width, height, false};
     if (x >= REACH && x + LANES + REACH <= width && y >= REACH && y + REACH < height) {

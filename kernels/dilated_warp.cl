@@ -124,11 +124,7 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
     const int target_width = frame->target_width, target_height = frame->target_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1), dst = y * target_width + x, count = target_width - x;
     if (x >= target_width || y >= target_height) return;
-    const Rendered shown = {.color = color,
-                            .codes = codes,
-                            .dynamic_mask = dynamic_mask,
-                            .code_offset = frame->code_offset,
-                            .sharpening = sharpening_of(sharpness, frame)};
+    const Rendered shown = rendered_of(frame, color, codes, dynamic_mask, sharpness);
     const Uints word = load_some_winners(count, keys, winners, dst);
     const Ints reached = word != NOBODY;
     Floats from_x = component(word & 0xFFFFu), from_y = component(word >> 16);

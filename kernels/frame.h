@@ -87,8 +87,7 @@ INLINE int level_side(const int side, const int level) { return (side + (1 << le
 #define DYNAMIC 1
 #define FIXED_TO_CAMERA 2 /* constant in view space, as dashboards and weapons are */
 
-/* States of the texels of background levels, REMEMBERED last; none is 1, which Oclgrind makes 255 where vectors choose
- * it. */
+/* States of texels of the background, REMEMBERED last; none is 1, which Oclgrind makes 255 where vectors choose it. */
 #define EMPTY 0
 #define SHOWN 2 /* of level 0: a static fragment of the frame itself: the warp projects it */
 #define EDGE 3 /* of level 0: static, beside a nearer static surface: neither SHOWN nor to be filled */

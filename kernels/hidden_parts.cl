@@ -41,6 +41,7 @@ typedef struct {
     __global float *depth;
     __global float2 *motion;
     __global uchar *filled_by;
+    TOLD
 } Images;
 
 INLINE int reach_of(__constant Frame *frame) { return max(MOVER_REACH, frame->target_width / MOVER_REACH_SHARE); }
@@ -62,7 +63,12 @@ INLINE bool was_seen_through(const int x, const int y, const float2 px_source, c
     const float2 px_prev = px_source + f.source_motion[src_y * width + src_x];
     if (!frame->has_previous || !holds(width, height, px_prev)) return false;
     const float z_prev = f.depth_prev[(int)px_prev.y * width + (int)px_prev.x];
-    return HIDES * z_prev > reproject(px_source, z_source, frame->to_previous).z;
+    const float z_expected = reproject(px_source, z_source, frame->to_previous).z;
+    TELL(f, PREV_X, px_prev.x);
+    TELL(f, PREV_Y, px_prev.y);
+    TELL(f, PREV_Z, z_prev);
+    TELL(f, PART_PREV_Z, z_expected);
+    return HIDES * z_prev > z_expected;
 }
 
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
@@ -74,18 +80,32 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
     const int t = first_other(dst, offset, steps, f.is_dynamic, 0);
     if (t == 0) return 0;
     const float z = f.depth[dst + t * offset];
+    TELL(f, STEPS, t);
+    TELL(f, MOVER_Z, z);
+    TELL(f, REFUSED_BY, SURFACE_BETWEEN);
     for (int first = 1; first < t; first += AT_ONCE) {
         uint shown = others_from(first, t - 1, dst, offset, f.disoccluded, 1);
-        for (; shown; shown &= shown - 1)
-            if (!(f.depth[dst + min(first + first_of(shown), t - 1) * offset] < z * NEARER)) return 0;
+        for (; shown; shown &= shown - 1) {
+            const float z_between = f.depth[dst + min(first + first_of(shown), t - 1) * offset];
+            TELL(f, BETWEEN_Z, z_between);
+            if (!(z_between < z * NEARER)) return 0;
+        }
     }
     const int x = dst_x + t * d.x, y = dst_y + t * d.y;
     const float2 px_source = moves_along(x, y, dst_x, dst_y, frame, f);
+    TELL(f, PLACE_X, px_source.x);
+    TELL(f, PLACE_Y, px_source.y);
+    TELL(f, REFUSED_BY, OUT_OF_FRAME);
     if (!holds(frame->source_width, frame->source_height, px_source)) return 0;
     const float z_shown = f.source_depth[(int)px_source.y * frame->source_width + (int)px_source.x];
     const float z_source = reproject(pixel_center(x, y), z, frame->to_source).z;
+    TELL(f, SHOWN_Z, z_shown);
+    TELL(f, PART_Z, z_source);
+    TELL(f, REFUSED_BY, NOT_HIDDEN);
     if (!INVALID_DEPTH(z_shown) && !(z_shown < HIDES * z_source)) return 0;
-    return was_seen_through(x, y, px_source, z_source, frame, f) ? 0 : t;
+    const bool seen_through = was_seen_through(x, y, px_source, z_source, frame, f);
+    TELL(f, REFUSED_BY, seen_through ? SEEN_THROUGH : NOT_REFUSED);
+    return seen_through ? 0 : t;
 }
 
 /* A direction from a hole: steps to the mover there, 0 if there is none, and what it gives to the hole's mean. */
@@ -205,8 +225,6 @@ typedef struct {
     __global uchar *filled_by;
 } Parts;
 
-INLINE int2 side(const int k) { return k & 1 ? (int2)(0, 2 - k) : (int2)(1 - k, 0); }
-
 /* Where a part that covers target pixel (dst_x, dst_y) is in the rendered image, if it moves like its mover at (x, y)
    there, which goes to `there`. */
 INLINE float2 place_of_part(const int x, const int y, const int dst_x, const int dst_y, const float3 there,
@@ -233,7 +251,7 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
                        const Parts f) {
     const int width = frame->source_width, height = frame->source_height, target_width = frame->target_width;
     const int src = src_y * width + src_x, plane = width * height;
-    const int2 d = side(k);
+    const int2 d = direction(2 * k);
     const float2 zoom = frame->zoom, mv = f.motion[src];
     const float z = f.depth[src], met = f.met_depth[src];
     const float3 there = position_of(f.target_position, src, plane);
@@ -273,7 +291,7 @@ INLINE void offer_side(const int src_x, const int src_y, const int k, const int 
 /* Whether something nearer hides what is beside a mover's pixel, on side k. */
 INLINE bool is_hidden_beside(const int src, const int k, __constant Frame *frame, const Parts f) {
     const int width = frame->source_width, src_x = src % width, src_y = src / width;
-    const int2 d = side(k);
+    const int2 d = direction(2 * k);
     return !(f.links[src] >> k & 1) && inside(src_x + d.x, src_y + d.y, width, frame->source_height)
            && is_hidden(src + d.y * width + d.x, f.depth[src], f);
 }

@@ -446,6 +446,31 @@ INLINE bool is_fixed(const int src_x, const int src_y, __constant Frame *frame, 
     return fabs(f.depth_prev[y * frame->source_width + x] - f.depth[src]) <= FIXED_DEPTH * f.depth[src];
 }
 
+/* The static test of LANES fragments: where static ones were in the frame before, how far the fragments' motion is from
+   that, beyond errors of quantization where it exceeds the threshold, and whether they move. */
+typedef struct {
+    Wide3 px_static;
+    Floats off_x, off_y;
+    Ints moves;
+} StaticTest;
+
+INLINE StaticTest static_test(const Floats px_x, const Floats px_y, const Floats z, const Floats mv_x,
+                              const Floats mv_y, const float threshold_squared,
+                              __global const float *quantization_error, __constant Frame *frame) {
+    StaticTest t;
+    t.px_static = wide_reproject(px_x, px_y, z, frame->to_previous);
+    t.off_x = t.px_static.x - (px_x + mv_x);
+    t.off_y = t.px_static.y - (px_y + mv_y);
+    t.moves = (z > 0.0f) & !isinf(z)
+              & ((t.px_static.z < 0.0f) | !(t.off_x * t.off_x + t.off_y * t.off_y <= threshold_squared));
+    if (ANY(t.moves)) { /* else nothing exceeds errors of quantization */
+        t.off_x = beyond(t.off_x, mv_x, 1.0f, quantization_error);
+        t.off_y = beyond(t.off_y, mv_y, 1.0f, quantization_error + 2);
+        t.moves &= (t.px_static.z < 0.0f) | !(t.off_x * t.off_x + t.off_y * t.off_y <= threshold_squared);
+    }
+    return t;
+}
+
 /* Notes the frame's number in the blocks within STIR_REACH of pixels first_x to last_x of row y. */
 INLINE void note_stir(const int first_x, const int last_x, const int src_y, __constant Frame *frame,
                       __global int *last_stir) {
@@ -497,15 +522,10 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
                 return;
             }
         }
-        const Wide3 px_static = wide_reproject(px_x, (Floats)(px_y), z, frame->to_previous);
-        Floats dx = px_static.x - (px_x + mv_x), dy = px_static.y - (px_y + mv_y);
-        moves = (z > 0.0f) & !isinf(z) & ((px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared));
-        if (ANY(moves)) { /* else nothing exceeds errors of quantization */
-            dx = beyond(dx, mv_x, 1.0f, quantization_error);
-            dy = beyond(dy, mv_y, 1.0f, quantization_error + 2);
-            moves &= (px_static.z < 0.0f) | !(dx * dx + dy * dy <= *threshold_squared);
-        }
-        if (frame->camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, px_static.z, moves, frame);
+        const StaticTest test =
+            static_test(px_x, (Floats)(px_y), z, mv_x, mv_y, *threshold_squared, quantization_error, frame);
+        moves = test.moves;
+        if (frame->camera_fixed) may_stay = may_be_fixed(px_x, px_y, mv_x, mv_y, z, test.px_static.z, moves, frame);
     }
     const Bytes mask = to_bytes(moves ? (Ints)(DYNAMIC) : (Ints)(STATIC));
     store_some_bytes(mask, count, dynamic_mask + src);

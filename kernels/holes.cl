@@ -1,10 +1,9 @@
-/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion or, out of screen, the lines
+/* Hole filling: pixels that are still invalid continue the surface behind the disocclusion or, out of screen, what is
    at the image's border; or they come from the image downsampled 32 times (paper: 'Shading correction network'). Only
    pixels labeled for filling change, and keep their label. */
 
 #include "frame.h"
 #include "far_side.h"
-#include "border_lines.h"
 #include "lists.h"
 
 /* What set the thresholds: docs/deviations.md, "Holes continue their far side", "Holes continue surfaces that can be
@@ -21,10 +20,10 @@ typedef struct {
     __global const half *codes; /* of its colors */
     __global const float *source_depth;
     __global const uchar *source_is_dynamic, *is_dynamic;
-    __global const float *border_lines;
     __global half *color;
     __global float *depth;
     __global float2 *motion;
+    TOLD
 } Images;
 
 /* Adds a pixel to the sums; those that are displayed bright weigh less, or one lamp would fill its whole texel. */
@@ -62,54 +61,7 @@ INLINE float3 border_code(const float2 px_source, __constant Frame *frame, __glo
 
 /* Whether a place lies outside of the rendered image. */
 INLINE bool is_out_of_screen(const float3 px_source, __constant Frame *frame) {
-    return !(px_source.z > 0.0f && holds(frame->source_width, frame->source_height, px_source.xy));
-}
-
-/* ---- lines at the image's border --------------------------------------------------------------------------------- */
-
-#define CELLS_AROUND 4 /* along the border, on either side, over which lines have one direction ... */
-#define CLOSE_COUNTS 4.0f /* ... close by most: one a cell away counts 1 / (1 + CLOSE_COUNTS), and more farther out */
-#define STEEPEST 2.0f /* px along the border, by which lines run on per px out of the image */
-#define CELL_NOISE 0.0001f /* of the sum of squared changes in a cell, colors displayed as white being 1 */
-#define APPROACHES 2 /* of the place where a line leaves the image */
-#define BLUR_TAPS 4 /* on either side along the border */
-#define FADE 0.16f /* px between them per px out of the image, in units of what the lines' direction leaves open */
-
-DEFINE_ROOT(float, root)
-
-/* The lines that cross the border around a place on it. */
-typedef struct {
-    float slope; /* px along the border, per px along the other axis */
-    float spread; /* by how much that is uncertain: the root of the change that it leaves unexplained */
-} Lines;
-
-/* Lines at the border's pixel `along` (px in x if the border is `horizontal`, else in y), in the border's row or
-   column of cells that begins at cell `first`, for a place `out` px out of the image. */
-INLINE Lines lines_at(const float along, const float out, const bool horizontal, const int first,
-                      __constant Frame *frame, __global const float *border_lines) {
-    const int plane = frame->cells_width * frame->cells_height;
-    const int count = horizontal ? frame->cells_width : frame->cells_height, step = horizontal ? 1 : frame->cells_width;
-    const float side = (float)(horizontal ? frame->source_width : frame->source_height);
-    const float at = clamp(along, 0.0f, side) * (1.0f / CELL) - 0.5f;
-    const int low = (int)floor(at);
-    const float cells_out = out * (1.0f / CELL), close_counts = divide(CLOSE_COUNTS, 1.0f + cells_out * cells_out);
-    float across = 0.0f, both = 0.0f, inward = 0.0f;
-    for (int k = max(low - CELLS_AROUND + 1, 0); k <= min(low + CELLS_AROUND, count - 1); ++k) {
-        const float off = at - (float)k, part = off * (1.0f / CELLS_AROUND);
-        const float window = fmax(1.0f - part * part, 0.0f),
-                    weight = divide(window * window, 1.0f + close_counts * off * off);
-        const int cell = first + k * step;
-        across += weight * border_lines[(horizontal ? 0 : 2 * plane) + cell];
-        both += weight * border_lines[plane + cell];
-        inward += weight * border_lines[(horizontal ? 2 * plane : 0) + cell];
-    }
-    const float white = frame->code_offset > 0.0f ? 4.0f * frame->code_offset * frame->code_offset : 1.0f;
-    const float sure = across + CELL_NOISE * white * white;
-    Lines lines;
-    lines.slope = clamp(-divide(both, sure), -STEEPEST, STEEPEST);
-    const float unexplained = inward + lines.slope * (2.0f * both + lines.slope * across);
-    lines.spread = root(divide(fmax(unexplained, 0.0f), sure));
-    return lines;
+    return !lands(px_source, frame->source_width, frame->source_height);
 }
 
 /* Whether the border of the rendered frame shows a mover where a place out of screen is closest to it, such as the
@@ -118,37 +70,6 @@ INLINE bool border_shows_mover(const float2 px_source, __constant Frame *frame, 
     const int x = (int)clamp(px_source.x, 0.0f, (float)(frame->source_width - 1)),
               y = (int)clamp(px_source.y, 0.0f, (float)(frame->source_height - 1));
     return f.source_is_dynamic[y * frame->source_width + x];
-}
-
-/* Color of a place out of screen: lines at the border of the rendered image go on, and fade where they have no common
-   direction. */
-INLINE float3 color_beyond(const float2 px_source, __constant Frame *frame, const Images f) {
-    const int width = frame->source_width, height = frame->source_height;
-    const float out_x = clamp(px_source.x, 0.5f, (float)width - 0.5f) - px_source.x;
-    const float out_y = clamp(px_source.y, 0.5f, (float)height - 0.5f) - px_source.y;
-    const bool horizontal = fabs(out_y) > fabs(out_x);
-    const float out = clamp(horizontal ? out_y : out_x, -(float)width, (float)width); /* finite */
-    const int first = !(out < 0.0f) ? 0
-                      : horizontal  ? (frame->cells_height - 1) * frame->cells_width
-                                    : frame->cells_width - 1;
-    float along = horizontal ? px_source.x : px_source.y;
-    const float start = along;
-    Lines lines;
-    for (int k = 0; k < APPROACHES; ++k) {
-        lines = lines_at(along, out, horizontal, first, frame, f.border_lines);
-        along = start + out * lines.slope;
-    }
-    const float apart = FADE * lines.spread * fabs(out);
-    float3 sum = (float3)(0.0f);
-    float weight_sum = 0.0f;
-    for (int k = -BLUR_TAPS; k <= BLUR_TAPS; ++k) {
-        const float at = along + apart * (float)k, part = (float)k * (1.0f / (BLUR_TAPS + 1)),
-                    weight = 1.0f - part * part;
-        const float2 place = horizontal ? (float2)(at, px_source.y) : (float2)(px_source.x, at);
-        sum += weight * border_code(place, frame, f.codes);
-        weight_sum += weight;
-    }
-    return decode_color(mean_of(sum, weight_sum), frame->code_offset);
 }
 
 /* Whether a surface can be at a place of the rendered frame: not in front of that which the frame shows there. */
@@ -182,9 +103,18 @@ INLINE bool meets_any(__local const Side *sides) {
     return any;
 }
 
+/* The directions whose surfaces fill a hole: those that lie outside of the rendered image, then *is_out; else those
+   behind the disocclusion. */
+INLINE int continued_directions(__local const Side *sides, bool *is_out) {
+    int out_of_screen = 0;
+    for (int k = 0; k < DIRECTIONS; ++k) out_of_screen |= sides[k].is_outside << k;
+    *is_out = out_of_screen != 0;
+    return out_of_screen ? out_of_screen : surface_behind(sides);
+}
+
 /* Continues the surfaces of the first valid pixels in eight directions: a surface that, continued into the hole, lies
    outside of the rendered image was hidden by nothing. If there are such, the hole is theirs: its depth is the mean of
-   theirs, in which those close by count most, its color that of lines at the border. Else it is a disocclusion, and
+   theirs, in which those close by count most, its color that of the border. Else it is a disocclusion, and
    shows the surface behind it. In an image without any valid pixel that is what the rendered frame shows in this place,
    at infinity. Gives (color, inverse depth). */
 INLINE float4 continued_surface(const int dst_x, const int dst_y, __local const Side *sides, __constant Frame *frame,
@@ -192,13 +122,12 @@ INLINE float4 continued_surface(const int dst_x, const int dst_y, __local const 
     const float offset = frame->code_offset;
     if (!meets_any(sides))
         return (float4)(decode_color(border_code(pixel_center(dst_x, dst_y), frame, f.codes), offset), 0.0f);
-    int out_of_screen = 0;
-    for (int k = 0; k < DIRECTIONS; ++k) out_of_screen |= sides[k].is_outside << k;
-    float4 mean =
-        weighted_mean(sides, out_of_screen ? out_of_screen : surface_behind(sides), out_of_screen != 0, offset);
+    bool out_of_screen;
+    const int directions = continued_directions(sides, &out_of_screen);
+    float4 mean = weighted_mean(sides, directions, out_of_screen, offset);
     const float3 px_source = static_source(dst_x, dst_y, mean.w, frame->to_source);
     if (out_of_screen && px_source.z > 0.0f && !border_shows_mover(px_source.xy, frame, f))
-        mean.xyz = color_beyond(px_source.xy, frame, f);
+        mean.xyz = decode_color(border_code(px_source.xy, frame, f.codes), offset);
     return mean;
 }
 
@@ -278,6 +207,7 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
         if (!is_out_of_screen(px_source, frame) && can_be_at(px_source, frame, f.source_depth)) {
             Side found = {.meets = true, .can_be_there = true};
             meet(&found, dst, t, d, frame, f.depth, f.color);
+            TELL(f, TOLD_OF_SIDE * k + PAST, side->px + 1);
             *side = found;
             return;
         }
@@ -285,6 +215,7 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
     }
     const int behind = behind_edge(*side, k, frame, f);
     if (behind < 0) return;
+    TELL(f, TOLD_OF_SIDE * k + ENDS, 1);
     Side found = *side;
     meet_behind(&found, dst_x, dst_y, behind, frame, f);
     *side = found;
@@ -303,43 +234,46 @@ INLINE Side look_beside(const int dst_x, const int dst_y, const int k, const int
     return s;
 }
 
-/* Fills pixels that are still invalid from the far side, a team of work-items for each. Where nothing is met within
-   reach, directions go on to the image's border. */
+/* What a team's hole meets. Where that is nothing within reach, directions go on to the image's border. All work-items
+   of a group must come here. */
+INLINE void look_around(const uint hole, __constant Frame *frame, const Images f, __local Side *sides) {
+    const int width = frame->target_width, item = get_local_id(0);
+    const int reach = max(LEAST_REACH, width / REACH_SHARE), whole = reach + width + frame->target_height;
+    const bool is_open = is_unfilled(hole, f.filled_by);
+    const int hole_x = (int)hole % width, hole_y = (int)hole / width;
+    bool looks = is_open, looks_past = false;
+#pragma unroll 1
+    for (int to = reach; to <= whole; to += whole - reach) {
+        for (int k = item % TEAM; looks && k < DIRECTIONS; k += TEAM)
+            sides[k] = look_beside(hole_x, hole_y, k, to, frame, f);
+        barrier(CLK_LOCAL_MEM_FENCE);
+        looks_past |= is_open && to == reach && may_look_past(sides);
+        looks &= !meets_any(sides);
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    for (int k = item % TEAM; looks_past && k < DIRECTIONS; k += TEAM)
+        if (sides[k].meets && !sides[k].can_be_there) look_past(hole_x, hole_y, k, reach, frame, f, &sides[k]);
+    barrier(CLK_LOCAL_MEM_FENCE);
+}
+
+/* Fills pixels that are still invalid from the far side, a team of work-items for each. */
 WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global const uint *open,
                                  __global const uchar *filled_by, __global const half *codes,
                                  __global const float *source_depth, __global const uchar *source_is_dynamic,
-                                 __global const uchar *is_dynamic, __global const float *border_lines,
-                                 __global half *color, __global float *depth, __global float2 *motion) {
+                                 __global const uchar *is_dynamic, __global half *color, __global float *depth,
+                                 __global float2 *motion) {
     __local Side sides[TEAMS][DIRECTIONS];
     const Images images = {.filled_by = filled_by,
                            .codes = codes,
                            .source_depth = source_depth,
                            .source_is_dynamic = source_is_dynamic,
                            .is_dynamic = is_dynamic,
-                           .border_lines = border_lines,
                            .color = color,
                            .depth = depth,
                            .motion = motion};
     const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
-    const int reach = max(LEAST_REACH, width / REACH_SHARE), whole = reach + width + frame->target_height;
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
-        const uint hole = entry_of(open, first + team);
-        const bool is_open = is_unfilled(hole, filled_by);
-        const int hole_x = (int)hole % width, hole_y = (int)hole / width;
-        bool looks = is_open, looks_past = false;
-#pragma unroll 1
-        for (int to = reach; to <= whole; to += whole - reach) {
-            for (int k = item % TEAM; looks && k < DIRECTIONS; k += TEAM)
-                sides[team][k] = look_beside(hole_x, hole_y, k, to, frame, images);
-            barrier(CLK_LOCAL_MEM_FENCE);
-            looks_past |= is_open && to == reach && may_look_past(sides[team]);
-            looks &= !meets_any(sides[team]);
-            barrier(CLK_LOCAL_MEM_FENCE);
-        }
-        for (int k = item % TEAM; looks_past && k < DIRECTIONS; k += TEAM)
-            if (sides[team][k].meets && !sides[team][k].can_be_there)
-                look_past(hole_x, hole_y, k, reach, frame, images, &sides[team][k]);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        look_around(entry_of(open, first + team), frame, images, sides[team]);
         const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
         if (is_unfilled(own, filled_by)) {
             const int dst_x = (int)own % width, dst_y = (int)own / width;

@@ -32,6 +32,11 @@ typedef struct {
     __global const half *codes;
 } Source;
 
+INLINE Source source_of(__constant Frame *frame, __global const float *target_position, __global const half *codes) {
+    const Source s = {frame->source_width, frame->source_height, frame->zoom, target_position, codes};
+    return s;
+}
+
 /* Depths of the 3x3 pixels around each of them, 0 outside of the image, and the depth halfway between the sides if
    these are apart. */
 typedef struct {
@@ -202,11 +207,7 @@ INLINE void find_layers(const int src_x, const int src_y, __constant Frame *fram
         store_some_bytes((Bytes)(NO_LAYER), count, to.layer + src);
         return;
     }
-    const Source s = {.width = source_width,
-                      .height = source_height,
-                      .zoom = frame->zoom,
-                      .target_position = target_position,
-                      .codes = codes};
+    const Source s = source_of(frame, target_position, codes);
     Span p = {src_x, src_y, source_width, source_height, false};
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;

@@ -28,6 +28,7 @@ typedef struct {
     __global const float *met_depth;
     __global const float4 *history, *velocity;
     __global const uint2 *acceleration, *bend, *view_velocity;
+    TOLD
 } Tracked;
 
 /* Displacement of a fragment at depth z by acceleration after alpha intervals, interpolated between the cells around
@@ -143,6 +144,7 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
         known == 4 ? c.y : d.y,
         d.z,
     };
+    TELL(f, KNOWN, known);
     float3 predicted = p0;
     if (known > 0) {
         const float3 p1_prev = unproject(px_prev, met, frame->from_previous.source_inverse);
@@ -151,6 +153,9 @@ INLINE float3 predicted_position(const int src_x, const int src_y, const Frame *
         const bool carried = of_cell && is_trusted(f.view_velocity[cell]);  /* by the camera */
         const float3 p1 = carried ? p1_prev : move_to_target(p1_prev, frame->from_previous);
         const bool spins = of_cell && !is_trust_known(f.bend[cell]);
+        TELL(f, CARRIED, carried);
+        TELL(f, SPINS, spins);
+        TELL(f, TRUST, of_cell && !spins ? trust_of(f.bend[cell]) : 0.0f);
         predicted += spins ? frame->alpha * unpacked(f.bend[cell]) : weight[0] * (p1 - p0);
         if (of_cell && !spins) predicted += bent(src_x, src_y, z, carried, frame, f);
         if (carried) {

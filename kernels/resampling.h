@@ -15,11 +15,6 @@ INLINE Sharpening sharpening(const float sharpness, const float white) {
     return sharp;
 }
 
-/* Of a new frame after rendered ones of the measured sharpness (sharpness.cl), if any is measured. */
-INLINE Sharpening sharpening_of(__global const float *measured, __constant Frame *frame) {
-    return sharpening(frame->sharpness ? *measured : 0.0f, display_white(frame->code_offset));
-}
-
 /* Images of the rendered frame that its fragments bring along. */
 typedef struct {
     __global const half *color, *codes;
@@ -27,6 +22,14 @@ typedef struct {
     float code_offset;
     Sharpening sharpening;
 } Rendered;
+
+/* `measured`: the sharpness of rendered frames (sharpness.cl), if any is. */
+INLINE Rendered rendered_of(__constant Frame *frame, __global const half *color, __global const half *codes,
+                            __global const uchar *dynamic_mask, __global const float *measured) {
+    const Rendered shown = {color, codes, dynamic_mask, frame->code_offset,
+                            sharpening(frame->sharpness ? *measured : 0.0f, display_white(frame->code_offset))};
+    return shown;
+}
 
 #define ALL_ALIKE 0xFF  /* of taps that move alike: bits 0 to 3 the inner ones, 4 to 7 the corners */
 

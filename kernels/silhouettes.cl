@@ -158,7 +158,7 @@ INLINE Ints find_pairs(const Span p, const Source s, const Shown f, LayerPairs *
     Ints near_known = (Ints)(0), far_known = (Ints)(0), far = (Ints)(0);
 #pragma unroll
     for (int i = 0; i < 9; ++i) {
-        const int k = (int)(0x862075314L >> 4 * i) & 15;
+        const int k = i == 0 ? 4 : i < 5 ? 2 * i - 1 : i < 7 ? 2 * i - 10 : 2 * i - 8; /* corners last */
         if (i == 1 || i == 5) {
             near_known = near_count > 0.0f;
             far_known = far_count > 0.0f;
@@ -339,15 +339,10 @@ LISTS __kernel void soften(__constant Frame *restrict frame, __global const ucha
                            __global const half *color, __global const float *depth, __global const float2 *motion,
                            __global const uchar *filled_by, __global uchar *coverage, __global uint *softened,
                            __global uint *soft) {
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const Source s = {.width = frame->source_width,
-                      .height = frame->source_height,
-                      .zoom = frame->zoom,
-                      .target_position = target_position,
-                      .codes = codes};
+    const Source s = source_of(frame, target_position, codes);
     const Layers l = {.layer = layer, .behind = behind, .share = share};
-    const Shown f = {.width = target_width,
-                     .height = target_height,
+    const Shown f = {.width = frame->target_width,
+                     .height = frame->target_height,
                      .code_offset = frame->code_offset,
                      .color = color,
                      .depth = depth,

@@ -58,8 +58,7 @@ typedef uchar16 BytePairs;
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
 
-/* Halves of any place. PoCL 3.1 takes the places that vload_half8 and vload_half16 get for aligned ones, as copies are.
- */
+/* Halves of any place. PoCL 3.1 takes those that vload_half8 and vload_half16 get for aligned ones, as copies are. */
 INLINE float8 load_halfs8(__global const half *p) {
     const ushort8 bits = vload8(0, (__global const ushort *)p);
     return vload_half8(0, (const half *)&bits);

@@ -32,10 +32,6 @@ INLINE bool is_within(const float3 a, const float3 b, const float most) {
     return square.x <= limit.x && square.y <= limit.y && square.z <= limit.z;
 }
 
-INLINE bool is_one_surface(const float z, const float other) {
-    return isinf(z) ? isinf(other) : fabs(other - z) <= STAYING_DEPTH * z;
-}
-
 /* The pixel at px; -1 beyond the image. */
 INLINE int pixel_at(const float2 px, const int width, const int height) {
     return holds(width, height, px) ? (int)px.y * width + (int)px.x : -1;
@@ -61,9 +57,9 @@ SPARSE __kernel void count_evidence(__constant Frame *restrict frame, __global c
     const int from = pixel_at(pixel_center(x, y) + mv, width, height);
     const int to = pixel_at(pixel_center(x, y) - mv, width, height);
     bool stays = false;
-    if (from >= 0 && is_one_surface(z, depth_prev[from]))
+    if (from >= 0 && is_same_surface(depth_prev[from], z, STAYING_DEPTH * z))
         stays = !is_within(exposed(color_prev, from, exposure), c, CLEAR);
-    if (!stays && to >= 0 && is_one_surface(z, depth[to])) {
+    if (!stays && to >= 0 && is_same_surface(depth[to], z, STAYING_DEPTH * z)) {
         const float2 apart = fabs(motion[to] - mv);
         if (fmax(apart.x, apart.y) <= STAYING_MOTION * length)
             stays = !is_within(exposed(color, to, exposure), c, CLEAR);

@@ -9,7 +9,6 @@
 #include "flow.h"
 #include "blocks.h"
 #include "layers.h"
-#include "border_lines.h"
 #include "lists.h"
 #include "thresholds.h"
 
@@ -379,8 +378,7 @@ INLINE void copy_pixels(const Fragments from, const Rendered shown, const NewFra
     store_labels(to, pixel, LANES, (Bytes)(STATIC), ALL_LANES);
 }
 
-/* LANES pixels per work-item. Lists those that are open. Finds lines at the rendered image's border, too, for holes
-   that continue their far side; but not under a camera that stays, which has nothing out of screen. */
+/* LANES pixels per work-item. Lists those that are open. */
 LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled_label,
                             __global const uchar *block_class, __global const float8 *block_source,
                             __global const uchar *source_smooth, __global const Key *keys, __global const uint *winners,
@@ -389,15 +387,10 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
                             __global const float *target_position, __global const float *sharpness,
                             __global half *out_color, __global float *out_depth, __global float2 *out_motion,
                             __global uchar *out_dynamic, __global uchar *disoccluded, __global uchar *filled_by,
-                            __global uint *open, __global float *border_lines) {
-    const int width = frame->source_width;
-    const int target_width = frame->target_width, target_height = frame->target_height;
+                            __global uint *open) {
+    const int width = frame->source_width, target_width = frame->target_width, target_height = frame->target_height;
     const Fragments from = fragments_of(frame, depth, target_position, links);
-    const Rendered shown = {.color = color,
-                            .codes = codes,
-                            .dynamic_mask = dynamic_mask,
-                            .code_offset = frame->code_offset,
-                            .sharpening = sharpening_of(sharpness, frame)};
+    const Rendered shown = rendered_of(frame, color, codes, dynamic_mask, sharpness);
     const NewFrame to = {.color = out_color,
                          .depth = out_depth,
                          .motion = out_motion,
@@ -409,9 +402,6 @@ LISTS __kernel void resolve(__constant Frame *restrict frame, const int unfilled
     const int block = is_pixel ? block_of(dst_x, dst_y, target_width) : 0;
     const uchar class = block_class[block];
     Ints left = (Ints)(0); /* lanes that are left open */
-    if (frame->far_side && !frame->stays)
-        find_border_lines(get_global_id(1) * get_global_size(0) + get_global_id(0),
-                          get_global_size(0) * get_global_size(1), frame, codes, border_lines);
     if (is_pixel && class == COPIED) {
         copy_pixels(from, shown, to, dst);
     } else if (is_pixel) {

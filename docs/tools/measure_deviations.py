@@ -134,14 +134,6 @@ GAE: dict[str, Change] = {
     "what lies beyond the image has no far side": Change(
         edits={"holes.cl": {"s.is_outside = is_out": "s.is_outside = false && is_out"}}
     ),
-    "… lines go on at their angle": Change(
-        edits={
-            "holes.cl": {
-                "= color_beyond(px_source.xy, frame, f);": "= decode_color(0.5f * (encode_color(mean.xyz, offset)"
-                " + border_code(px_source.xy, frame, f.codes)), offset);"
-            }
-        }
-    ),
     "silhouettes stay antialiased": Change({"soft_silhouettes": False}),
 }
 # Beyond the paper, each a module with an option of its own.

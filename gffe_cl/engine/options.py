@@ -289,7 +289,7 @@ class Options:
         needs="hidden_parts",
     )
     levels: int = _option(
-        2,
+        1,
         "background levels",
         "Background levels L: the first remembers surfaces behind movers; further ones, each at half the resolution,"
         " those behind static surfaces.",

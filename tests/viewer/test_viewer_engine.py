@@ -240,7 +240,7 @@ def test_options_change_what_they_should(device):
         "history": (4, set(), upto_submit | {"final"}),
         "acceleration": (False, {"prediction.target_position"}, upto_submit),
         "upscale": (1.0, {"final"}, upto_submit | {"frame.color"}),
-        "levels": (1, set(), upto_submit | {"history.met_depth"}),
+        "levels": (2, set(), upto_submit | {"history.met_depth"}),
         "shading_inputs": (False, set(), upto_submit | {"final"}),
     }
     with running(device, Clip()) as engine:
@@ -260,7 +260,7 @@ def test_options_change_what_they_should(device):
         assert np.abs(np.subtract(*(p["prediction.target_position"][..., :2] for p in predicted))).max() > 0.01
         sums = {"holes.downsampled_color", "holes.downsampled_inverse_depth"}
         assert seen["hole_filling"] - set(before) == sums and set(before) <= seen["hole_filling"]
-        assert set(before) - seen["levels"] == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
+        assert seen["levels"] - set(before) == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
         assert set(before) - seen["shading_inputs"] == {
             *("shading.warped_previous", "shading.input_mask"),
             *(f"shading_trend.{name}" for name in ("changes", "changed_samples", "trend", "trends")),

@@ -228,7 +228,7 @@ def test_cuts_found_in_computing_ahead_are_marked(session, monkeypatch):
     monkeypatch.setattr(Seeker, "_submit", cutting)
     model = session.model
     assert model.slot == 0 and not model.contents.resets
-    model.set("levels", 1)  # so that everything is computed anew
+    model.set("levels", 2)  # so that everything is computed anew
     session.settle()
     session.until(lambda: 5 in model.document.ahead.cached)
     session.frame()

@@ -14,7 +14,7 @@ from gffe_cl.viewer.state.presets import Kept, KeptSettings, command_line
 
 SOURCE = SimpleNamespace(target="shots/a b", name="a b", live=False, width=8, height=4)
 OTHER = Options(
-    motion=False, history=4, order=3, static_threshold=1.23456789, levels=1, hole_filling="downsample", blocks=False,
+    motion=False, history=4, order=3, static_threshold=1.23456789, levels=2, hole_filling="downsample", blocks=False,
     soft_silhouettes=False, shading_correction=True, focus_mask=False, scn_model="my net.onnx", scn_provider="cuda",
 )  # fmt: skip
 

@@ -12,6 +12,7 @@ import pyopencl as cl
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import FRAME_BUFFERS, named_images
+from gffe_cl.engine.opencl.program import build
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import BufferSpec, grid_of, spread, texels_over
 
@@ -212,3 +213,30 @@ def moved(px, image: Camera, other: Camera) -> tuple[float, float]:
         float((px[0] - image.cx) * other.fx / image.fx + other.cx),
         float((px[1] - image.cy) * other.fy / image.fy + other.cy),
     )
+
+
+def told(pipeline: Pipeline, stage: str, of: str, slot: str, numbers: int, **given: int) -> np.ndarray:
+    """Return the `numbers` (float32) that kernel "tell_<stage>" of `kernels/stories/<stage>.cl` tells from the buffers
+    of the stage's kernel `of` and the frame block `slot`; `given`: its other arguments."""
+    owner, device = pipeline.stages[stage], pipeline.device
+    program = build(device, f"stories/{owner.program.name}")
+    out = np.zeros(numbers, np.float32)
+    buffer = cl.Buffer(device.context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
+    declared = next(one for one in owner.kernels if one.name == of)
+    values = owner.values(declared, slot, {**given, "told": buffer})
+    group = owner.program.constants[declared.group] if declared.grid == "walk" else 1
+    program.launch(device.queue, f"tell_{stage}", (group,), (group,), values)
+    cl.enqueue_copy(device.queue, out, buffer)
+    return out
+
+
+def least(values: np.ndarray, fits: np.ndarray) -> int | None:
+    """Return the index of the least of `values` (N,), infinite ones too, where `fits` (N,); None if that is nowhere."""
+    candidates = np.flatnonzero(fits)
+    return int(candidates[np.argmin(values[candidates])]) if candidates.size else None
+
+
+def around(at, reach: int, size) -> tuple[int, int, int, int]:
+    """Return x, y, width, height of the block up to `reach` around `at`, within an image of `size`."""
+    x, y = (max(c - reach, 0) for c in at)
+    return x, y, min(at[0] + reach + 1, size[0]) - x, min(at[1] + reach + 1, size[1]) - y

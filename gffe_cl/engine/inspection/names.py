@@ -18,7 +18,6 @@ VELOCITY, ACCELERATION = "acceleration.velocity", "acceleration.acceleration"
 VIEW_VELOCITY, BEND = "acceleration.view_velocity", "acceleration.bend"
 LINKS = "connectivity.links"  # neighbors of one surface, a bit each
 TARGET_POSITION = "prediction.target_position"
-BORDER_LINES = "warp.border_lines"
 COVERAGE = "silhouettes.coverage"
 FOCUS_MASK, FOLLOWED = "correction.focus_mask", "shading_flow.followed"
 UPSCALED, REJECTED, LOCK = "upscaling.history", "upscaling.rejected", "upscaling.lock"

@@ -162,9 +162,9 @@ class Background(NearestStage):
     def rendered(self, step: Step) -> None:
         """Collect fragments behind the surfaces that the stage `Connectivity` shows. After a reset nothing is kept or
         collected, because movers are unknown yet."""
-        if step.previous is None or self.levels > 2:  # else the connectivity stage clears what is offered to
+        if step.previous is None or self.levels > 1:  # else the connectivity stage clears what is offered to
             self.clear_keys("level_", f"levels{self.levels}")
-        for level in range(2, self.levels):
+        for level in range(1, self.levels):
             self.fill(f"state_{level}", EMPTY)
         for level in range(self.levels if step.previous is not None else 0):
             for scatter_pass in self.passes:

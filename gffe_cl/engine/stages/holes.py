@@ -182,7 +182,7 @@ class Downsampled(HoleFilling):
 
 
 class FarSide(HoleFilling):
-    """Continues the surface behind a disocclusion or, out of screen, the lines at the image's border."""
+    """Continues the surface behind a disocclusion or, out of screen, the image's border."""
 
     kernels = (
         Kernel(
@@ -195,7 +195,6 @@ class FarSide(HoleFilling):
                 "source_depth": "rendered.depth",
                 "source_is_dynamic": "history.dynamic_mask",
                 "is_dynamic": "frame.dynamic",
-                "border_lines": "warp.border_lines",
             }
             | _IMAGE,
             _FILLED,

@@ -188,15 +188,6 @@ _OPEN = BufferSpec(
     scratch=True,
     transient=True,
 )
-_LINES = BufferSpec(
-    "border_lines",
-    np.float32,
-    (),
-    "cells",
-    "structure tensor of the color code, xx, xy and yy, in cells at the rendered image's border; 0 elsewhere; while"
-    " the camera stays, an older one",
-    planes=3,
-)
 _KEYS = {name: f"warp.{name}" for name in ("keys", "winners")}
 NEW_FRAME = {
     "out_color": "frame.color",
@@ -250,13 +241,13 @@ class Warp(NearestStage):
                 "sharpness": "sharpness.sharpness",
             }
             | _KEYS,
-            NEW_FRAME | {"open": "warp.open", "border_lines": "warp.border_lines"},
+            NEW_FRAME | {"open": "warp.open"},
             step=("LANES", 1),
         ),
     )
 
     def __init__(self, board: Board):
-        self.buffers = (_OPEN, _LINES, *self.keys(board, "", "target", transient=True))
+        self.buffers = (_OPEN, *self.keys(board, "", "target", transient=True))
         super().__init__(board)
 
     def extrapolated(self, step: Step) -> None:

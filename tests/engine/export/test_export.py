@@ -44,7 +44,7 @@ RGBA, HALF = cl.channel_order.RGBA, cl.channel_type.HALF_FLOAT
 DEFAULT = Options(shading_correction=False)
 VARIED = replace(
     DEFAULT,
-    levels=1,
+    levels=2,
     crack_closing=False,
     soft_silhouettes=False,
     acceleration=False,

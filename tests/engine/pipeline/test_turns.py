@@ -136,7 +136,7 @@ def test_buffers_of_earlier_options_are_refused(device):
     pipeline.submit(next(frames(1)))
     pipeline.extrapolate()
     held = [(owner, spec) for owner, spec in pipeline.named_buffers() if owner.name == "history"]
-    pipeline.change_options(Options(shading_correction=False, levels=1))
+    pipeline.change_options(Options(shading_correction=False, levels=2))
     assert held
     for owner, spec in held:
         with pytest.raises(GffeError, match=rf"history\.{spec.name}: the pipeline has dropped this buffer"):

@@ -19,7 +19,7 @@ def test_memory_is_what_was_allocated(device):
     assert sum(memory(pipeline).values()) == device.allocated - before
 
 
-@pytest.mark.parametrize("options", [{}, {"hole_filling": "downsample", "upscale": 1.0, "levels": 0}])
+@pytest.mark.parametrize("options", [{"levels": 2}, {"hole_filling": "downsample", "upscale": 1.0, "levels": 0}])
 def test_all_declared_kernels_are_launched(device, options, monkeypatch):
     launch, launched = Commands.launch, set()
 

@@ -11,13 +11,15 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import (
     PixelValues,
     Shot,
+    around,
     device_layers,
+    least,
     moved,
     pixel_values,
     read_blocks,
     source_position,
 )
-from gffe_cl.engine.inspection.explain.fragment_history import Fragment, around, least
+from gffe_cl.engine.inspection.explain.fragment_history import Fragment
 from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step, Story
 from gffe_cl.engine.inspection.explain.refusals import (
@@ -218,7 +220,7 @@ def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, 
         f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
     ]
     if number == BY_REAPPEARING:
-        told.append(where_it_reappears_from(pipeline, shot, source_px))
+        told.append(where_it_reappears_from(pipeline, shot, pixel, source_px))
     return tuple(filter(None, told))
 
 
@@ -250,8 +252,7 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], sour
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         outside = f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f})"
         if pipeline.options.hole_filling == "far-side":
-            lines = Link("lines at the border", names.BORDER_LINES)
-            said.append(Step(f"{outside}: near the border, lines that cross it go on at their angle.", lines))
+            said.append(f"{outside}: its color is that of the closest place on the border.")
         else:
             said.append(f"{outside}.")
     return tuple(filter(None, said))
