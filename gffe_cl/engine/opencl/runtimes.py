@@ -43,16 +43,17 @@ _INTEL_NEEDS = ("libintlc.so.5", "libimf.so", "libsvml.so", "libirng.so", "libtb
 
 
 def cache_folder() -> Path:
-    """Return the folder for caches of this package, made on first use; a temporary one where home is not writable."""
+    """Return the folder for caches of this package, made on first use; a temporary one where home is not writable, or
+    belongs to another user: native code is loaded from folders in it."""
     folder = platformdirs.user_cache_path("gffe-cl", appauthor=False)
     try:
-        folder.mkdir(parents=True, exist_ok=True)
+        folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         probe = folder / f".probe-{os.getpid()}"
         probe.touch()
         probe.unlink()
     except OSError:
-        folder = _temporary_folder()
-    return folder
+        return _temporary_folder()
+    return folder if _is_safe(folder) else _temporary_folder()
 
 
 def kept_folder() -> Path | None:
@@ -83,14 +84,30 @@ def keep_file(path: Path, content: bytes, alike: str, most: int) -> None:
 
 
 def private_folder(folder: Path) -> bool:
-    """Make `folder` if it is missing. Return whether only this user can write to it, as native code is loaded from
-    it."""
+    """Make `folder` if it is missing. Return whether only this user can write to it, as native code is loaded from it:
+    it is no link, no file in it belongs to another user, and no other user can put another folder in its place."""
     with suppress(OSError):
         folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         facts = folder.lstat()
-        own = not hasattr(os, "getuid") or (facts.st_uid == os.getuid() and not facts.st_mode & 0o022)
-        return own and stat.S_ISDIR(facts.st_mode)
+        if not stat.S_ISDIR(facts.st_mode):
+            return False
+        owners = {facts.st_uid, *(path.lstat().st_uid for path in folder.iterdir())}
+        own = not hasattr(os, "getuid") or (owners == {os.getuid()} and not facts.st_mode & 0o022)
+        return own and _is_safe(folder)
     return False
+
+
+def _is_safe(folder: Path) -> bool:
+    """Return whether `folder` and those around it belong to this user or to root, and whoever may write to them cannot
+    rename what is in them."""
+    if not hasattr(os, "getuid"):
+        return True
+    folder = folder.resolve()
+    around = [path.stat() for path in (folder, *folder.parents)]
+    return all(
+        facts.st_uid in (0, os.getuid()) and (not facts.st_mode & stat.S_IWOTH or facts.st_mode & stat.S_ISVTX)
+        for facts in around
+    )
 
 
 def _temporary_folder() -> Path:
@@ -176,7 +193,7 @@ def _library_of(icd: Path) -> Path:
 
 def redirect_unwritable_caches() -> None:
     """Make PoCL and pyopencl keep their caches where they can be written, if the home folder cannot be written or
-    folders in it belong to another user, as after a run with sudo.
+    belongs to another user, as with sudo, or folders in it do.
 
     Both fail to build anything otherwise. Both look for the folder when they first need it.
     """
@@ -193,10 +210,12 @@ def redirect_unwritable_caches() -> None:
 
 
 def _can_be_written(folder: Path) -> bool:
-    """Return whether files can be made in `folder`, or if it is missing, whether it can be made."""
+    """Return whether files can be made in `folder`, or if it is missing, whether it can be made, and no other user
+    owns it: root can write to every folder, but code comes from these."""
     while not os.path.lexists(folder) and folder != folder.parent:
         folder = folder.parent
-    return folder.is_dir() and os.access(folder, os.W_OK | os.X_OK) and not str(folder).startswith("/proc")
+    writable = folder.is_dir() and os.access(folder, os.W_OK | os.X_OK) and not str(folder).startswith("/proc")
+    return writable and _is_safe(folder)
 
 
 def _driver_folders(home: Path) -> list[Path]:
@@ -214,7 +233,8 @@ def _driver_folders(home: Path) -> list[Path]:
 def _vendor_folder(entries: dict[str, str]) -> Path:
     digest = hashlib.sha256(repr(sorted(entries.items())).encode()).hexdigest()[:16]
     folder = cache_folder() / f"vendors-{digest}"
-    folder.mkdir(exist_ok=True)
+    if not private_folder(folder) or {icd.name for icd in folder.glob("*.icd")} - entries.keys():
+        folder = Path(tempfile.mkdtemp(prefix="gffe-cl-"))  # the loader loads whatever an `.icd` file names
     for name, text in entries.items():
         path = folder / name
         if not path.exists() or path.read_text() != text:

@@ -163,16 +163,47 @@ def test_intels_runtime_in_a_folder_with_a_space_is_left_out(tmp_path, monkeypat
     assert runtimes.VENDORS not in os.environ
 
 
-@pytest.mark.skipif(not hasattr(os, "getuid"), reason="permissions of POSIX")
-def test_a_temporary_folder_of_others_is_not_trusted(tmp_path, monkeypatch):
+def _of_another_user(home, folder):
+    shutil.chown(home, 12345)
+
+
+def _with_a_driver_of_others(home, folder):
+    (folder / "zz.icd").write_text("/tmp/libevil.so\n")
+
+
+def _open_to_others(home, folder):
+    folder.chmod(0o777)
+
+
+def _a_link(home, folder):
+    folder.rename(home / "elsewhere")
+    folder.symlink_to(home / "elsewhere")
+
+
+@pytest.mark.parametrize("spoil", [_of_another_user, _with_a_driver_of_others, _open_to_others, _a_link])
+def test_drivers_are_loaded_from_folders_of_this_user(tmp_path, monkeypatch, spoil):
+    """The loader loads the library of each `.icd` file there: with sudo, as root."""
+    if not (Path(sys.prefix) / "lib" / "libintelocl.so").exists():
+        pytest.skip("no runtime of Intel's in this environment")
+    home = tmp_path / "home"
+    home.mkdir()
     monkeypatch.setattr(runtimes.tempfile, "tempdir", str(tmp_path))
-    own = runtimes._temporary_folder()
-    assert own == tmp_path / f"gffe-cl-{os.getuid()}" == runtimes._temporary_folder()
-    own.chmod(0o777)
-    assert runtimes._temporary_folder() != own
-    own.rmdir()
-    own.symlink_to(tmp_path)
-    assert runtimes._temporary_folder() != own
+    monkeypatch.setenv("XDG_CACHE_HOME", str(home))
+    monkeypatch.setenv(runtimes.VENDORS, "")
+    runtimes.prepare_runtimes()
+    folder = Path(os.environ[runtimes.VENDORS])
+    names = sorted(path.name for path in folder.iterdir())
+    assert folder.is_relative_to(home) and names
+    try:
+        spoil(home, folder)
+    except PermissionError:
+        pytest.skip("only root gives files away")
+    monkeypatch.setenv(runtimes.VENDORS, "")
+    runtimes.prepare_runtimes()
+    other = Path(os.environ[runtimes.VENDORS])
+    assert not other.is_relative_to(home) and sorted(path.name for path in other.iterdir()) == names
+    assert other.stat().st_mode & 0o777 == 0o700
+    assert Path(os.environ["XDG_CACHE_HOME"]).is_relative_to(home) == (spoil is not _of_another_user)  # PoCL's, too
 
 
 def test_probing_is_in_a_child_that_files_of_the_working_folder_do_not_disturb(tmp_path, monkeypatch):
