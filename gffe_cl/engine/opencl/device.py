@@ -35,7 +35,7 @@ from gffe_cl.engine.opencl.runtimes import ask_for_huge_pages, prepare_runtimes,
 
 HOW_TO_GET_ONE = (
     f"install one with {how_to_install('intel')} (x86-64 CPU, no root), "
-    "`apt install pocl-opencl-icd` (any CPU), or your GPU vendor's driver"
+    "`apt install pocl-opencl-icd` (any CPU), or your GPU vendor's driver; `gffe devices --refresh` tries again"
 )
 _WHERE_IT_IS = (
     "see `gffe devices --refresh`; where a program uses pyopencl before gffe_cl,"

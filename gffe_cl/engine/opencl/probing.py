@@ -17,7 +17,7 @@ import time
 import warnings
 from collections.abc import Callable
 from contextlib import contextmanager, suppress
-from dataclasses import asdict, dataclass, field, fields
+from dataclasses import asdict, dataclass, field, fields, replace
 from pathlib import Path
 
 import pyopencl as cl
@@ -66,10 +66,14 @@ class DeviceInfo:
 
 @dataclass
 class Probed:
-    """Result of probing. `age`: seconds since then; None if it was just now."""
+    """Result of probing. `age`: seconds since then; None if it was just now. `time`: when it was stored."""
 
     devices: list[DeviceInfo] = field(default_factory=list)
     age: float | None = None
+    time: float = 0.0
+
+
+_failed: dict[str, tuple[Probed, bool]] = {}  # what this process found, with failures that later ones try again
 
 
 def probe() -> Probed:
@@ -386,31 +390,50 @@ def fingerprint() -> str:
 
 
 def recall(key: str) -> Probed | None:
-    """Return the entry stored as `key`, or None. Failures expire after an hour. Everything expires after a day if
-    the drivers' files do not identify them."""
-    folder = kept_folder()
-    if folder is None:
+    """Return the entry stored as `key`, or None. Failures are stored for an hour, once two processes have met them: a
+    driver may crash once, under load. Everything expires after a day if the drivers' files do not identify them."""
+    found, met = _failed.get(key) or _stored(key)
+    if found is None:
         return None
-    try:
-        document = json.loads(read_bounded(folder / _FILE.format(key), _MOST_BYTES))
-        age = time.time() - float(document["time"])
-        found = Probed([_device(device) for device in document["devices"]], age)
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
-        return None
-    broken = not found.devices or not all(device.works for device in found.devices)
+    broken = not all(device.works for device in found.devices)
     longest = _HOUR if broken else float("inf") if vendors() else 24 * _HOUR
-    return found if 0 <= age <= longest else None
+    age = time.time() - found.time
+    return replace(found, age=age) if 0 <= age <= longest and (met or not broken) else None
 
 
 def keep(key: str, found: Probed) -> None:
-    """Store `found` as `key` for later processes."""
-    folder = kept_folder()
-    if folder is None:
+    """Store `found` as `key` for later processes; where no device works, for this process alone."""
+    before, _ = _stored(key)
+    _failed.pop(key, None)
+    folder, found = kept_folder(), replace(found, time=time.time())
+    if not any(device.works for device in found.devices):
+        _failed[key] = found, True
+    if folder is None or key in _failed:
         return
-    document = {"time": time.time(), "devices": [asdict(device) for device in found.devices]}
+    met = before is not None and _failures(before) == _failures(found)
+    if _failures(found) and not met:
+        _failed[key] = found, True  # here, too
+    document = {"time": found.time, "devices": [asdict(device) for device in found.devices], "met": met}
     with suppress(OSError):
         path = folder / _FILE.format(key)
         keep_file(path, json.dumps(document, indent=1).encode("utf-8"), _FILE.format("*"), _MOST_FILES)
+
+
+def _failures(probed: Probed) -> list[tuple[str, str]]:
+    return [(info.index, info.problem) for info in probed.devices if not info.works]
+
+
+def _stored(key: str) -> tuple[Probed | None, bool]:
+    """Return the entry in the file of `key` (None: there is none), and whether an earlier process met its failures."""
+    folder = kept_folder()
+    if folder is None:
+        return None, False
+    try:
+        document = json.loads(read_bounded(folder / _FILE.format(key), _MOST_BYTES))
+        found = [_device(device) for device in document["devices"]]
+        return Probed(found, time=float(document["time"])), bool(found) and document.get("met") is True
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None, False
 
 
 def _device(document: dict) -> DeviceInfo:
