@@ -14,11 +14,85 @@ import json
 import struct
 import zipfile
 import zlib
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+
+from gffe_cl.engine.core.files import read_bounded
+
+# ---- ONNX files of others ------------------------------------------------------------------------------
+
+MOST_BYTES = 64 << 20  # of a model, and of its layers
+_MOST_FIELDS = 200_000
+# What networks of this family consist of. None of them repeats anything or contains another graph.
+_OPERATORS = {
+    *("Add", "Cast", "Clip", "Concat", "Constant", "Conv", "DequantizeLinear", "Gather", "Greater", "Identity"),
+    *("LeakyRelu", "MaxPool", "Mul", "QuantizeLinear", "Relu", "Resize", "SpaceToDepth", "Sub"),
+}
+# Numbers of fields in onnx.proto: messages that are looked into, and fields that no such network has.
+_GRAPH, _NODE, _ATTRIBUTE, _TENSOR, _INITIALIZER, _OPERATOR, _DOMAIN = 7, 1, 5, 5, 5, 4, 7
+_UNKNOWN = {"model": {20: "training", 25: "functions"}, "attribute": {6: "a graph", 11: "graphs"}, "graph": {}}
+_UNKNOWN |= {"tensor": {13: "data in another file"}, "node": {}}
+
+
+def require_operators(model: bytes) -> None:
+    """Raise ValueError unless the ONNX file `model` consists of operators of this family of networks, whose work is
+    bounded by the size of the image: another one may run for ever."""
+    stack, count = [("model", memoryview(model))], 0
+    while stack:
+        kind, message = stack.pop()
+        for number, value in _fields(message):
+            count += 1
+            if count > _MOST_FIELDS:
+                raise ValueError(f"more than {_MOST_FIELDS} fields")
+            if number in _UNKNOWN[kind]:
+                raise ValueError(f"{_UNKNOWN[kind][number]} (expected operators alone)")
+            inner = {
+                ("model", _GRAPH): "graph",
+                ("graph", _NODE): "node",
+                ("graph", _INITIALIZER): "tensor",
+                ("node", _ATTRIBUTE): "attribute",
+                ("attribute", _TENSOR): "tensor",
+            }.get((kind, number))
+            if inner and isinstance(value, memoryview):
+                stack.append((inner, value))
+            if kind == "node" and number in (_OPERATOR, _DOMAIN) and isinstance(value, memoryview):
+                name = bytes(value[:40]).decode("ascii", "replace")
+                if name not in (_OPERATORS if number == _OPERATOR else ("", "ai.onnx")):
+                    raise ValueError(f"operator {name} (expected {', '.join(sorted(_OPERATORS))})")
+
+
+def _fields(message: memoryview) -> Iterator[tuple[int, int | memoryview | None]]:
+    """Yield number and value of the fields of a message of Protocol Buffers. Raises ValueError where it is none."""
+    at = 0
+    while at < len(message):
+        key, at = _number(message, at)
+        value, size = None, {1: 8, 5: 4}.get(key & 7, 0)
+        if key & 7 == 0:
+            value, at = _number(message, at)
+        elif key & 7 == 2:
+            size, at = _number(message, at)
+            value = message[at : at + size]
+        elif not size:
+            raise ValueError("no message")
+        at += size
+        if at > len(message):
+            raise ValueError("cut off")
+        yield key >> 3, value
+
+
+def _number(message: memoryview, at: int) -> tuple[int, int]:
+    """Return a number of up to ten bytes, and where it ends."""
+    found = 0
+    for place, byte in enumerate(message[at : at + 10]):
+        found |= (byte & 127) << 7 * place
+        if byte < 128:
+            return found, at + place + 1
+    raise ValueError("no number")
+
 
 # ---- interface of the model ----------------------------------------------------------------------------
 
@@ -147,7 +221,7 @@ def layers_file(path: Path) -> Path:
 
 def digest_of(path: Path) -> str:
     """Return the hash of an ONNX file, by which its layers name it."""
-    return hashlib.sha256(path.read_bytes()).hexdigest()
+    return hashlib.sha256(read_bounded(path, MOST_BYTES)).hexdigest()
 
 
 def read_layers(path: Path) -> IntegerNetwork:
@@ -156,7 +230,7 @@ def read_layers(path: Path) -> IntegerNetwork:
     beside = layers_file(path)
     try:
         with zipfile.ZipFile(beside) as archive:
-            if archive.testzip():
+            if sum(part.file_size for part in archive.infolist()) > MOST_BYTES or archive.testzip():
                 raise zipfile.BadZipFile
         with np.load(beside, allow_pickle=False) as file:
             arrays = {name: file[name] for name in file.files}

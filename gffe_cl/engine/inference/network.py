@@ -24,18 +24,20 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import model_source
+from gffe_cl.engine.core.files import model_source, read_bounded
 from gffe_cl.engine.inference.layers import (
     CANDIDATE_PLANES,
     HEAD,
     HEAD_WEIGHTS,
     INPUT_PLANES,
     JUDGEMENT_PLANES,
+    MOST_BYTES,
     OUTPUT,
     NotInKernels,
     head_weights,
     layers_file,
     read_layers,
+    require_operators,
 )
 
 
@@ -160,7 +162,15 @@ class Network:
     provider = CPU
 
     def __init__(self, path: Path, remark: str = ""):
-        self.path, self.remark, self.session = path, remark, open_session(path)
+        self.path, self.remark = path, remark
+        try:
+            model = read_bounded(path, MOST_BYTES)
+            require_operators(model)
+        except (OSError, ValueError) as error:
+            raise NetworkError(
+                f"{path}: no shading correction network: {getattr(error, 'strerror', None) or error}"
+            ) from None
+        self.session = open_session(path, model)
         free = (None, None)
         inputs = {"frames": (1, INPUT_PLANES, *free), "candidates": (1, CANDIDATE_PLANES, *free)}
         _require(path, "input", self.session.get_inputs(), inputs)
@@ -292,9 +302,9 @@ def cpu_model(path: Path) -> Path:
     return integers if path == PACKAGED and integers.is_file() else path
 
 
-def open_session(path: Path):
-    """Return an onnxruntime.InferenceSession of the ONNX file `path`; no other function makes any. Raises
-    NetworkError."""
+def open_session(path: Path, content: bytes | None = None):
+    """Return an onnxruntime.InferenceSession of the ONNX file `path`, or of its `content`; no other function makes any.
+    Raises NetworkError."""
     onnxruntime = load_onnxruntime()
     options = onnxruntime.SessionOptions()
     options.graph_optimization_level = onnxruntime.GraphOptimizationLevel.ORT_ENABLE_ALL
@@ -302,7 +312,7 @@ def open_session(path: Path):
         options.add_session_config_entry(f"session.{kind}.allow_spinning", "0")
     options.log_severity_level = 4
     try:
-        session = onnxruntime.InferenceSession(model_source(path), options, providers=[CPU])
+        session = onnxruntime.InferenceSession(content or model_source(path), options, providers=[CPU])
     except _errors_of_onnxruntime() as error:
         raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {one_line(error)}") from None
     _sessions.add(session)

@@ -5,6 +5,7 @@ import subprocess
 import sys
 
 import numpy as np
+import onnx
 import pytest
 import tiny_sequence
 from scn_models import constant_model, look_model
@@ -53,6 +54,24 @@ def test_kernels_run_the_network_where_onnxruntime_is_not_installed(monkeypatch)
     inference.load_onnxruntime.cache_clear()
     with pytest.raises(NetworkError, match="onnxruntime is not installed"):
         load_network(inference.PACKAGED)
+
+
+def test_hostile_models_are_one_line(tmp_path):
+    """... at once: what would run for ever, or read another file, is not loaded."""
+    loop, elsewhere = (onnx.load(constant_model(tmp_path / "m.onnx")) for _ in range(2))
+    loop.graph.node[0].op_type = "Loop"
+    elsewhere.graph.initializer[0].external_data.add(key="location", value="/etc/passwd")
+    numbers, large = b"\x3a" + b"\xff" * 400_000, bytes(1 + (64 << 20))
+    for model, said in (
+        (loop.SerializeToString(), "operator Loop .expected Add, Cast"),
+        (elsewhere.SerializeToString(), "data in another file"),
+        (numbers, "no number"),
+        (large, "67108865 bytes, expected at most 67108864"),
+    ):
+        (tmp_path / "m.onnx").write_bytes(model)
+        with pytest.raises(NetworkError, match=f"m.onnx: no shading correction network: .*{said}") as refused:
+            load_network(tmp_path / "m.onnx")
+        assert "\n" not in str(refused.value)
 
 
 @pytest.mark.parametrize("command", ["run", "eval", "view"])
