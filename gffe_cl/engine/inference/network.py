@@ -167,9 +167,8 @@ class Network:
             model = read_bounded(path, MOST_BYTES)
             require_operators(model)
         except (OSError, ValueError) as error:
-            raise NetworkError(
-                f"{path}: no shading correction network: {getattr(error, 'strerror', None) or error}"
-            ) from None
+            why = getattr(error, "strerror", None) or error
+            raise NetworkError(f"{path}: cannot be loaded (expected an ONNX model): {why}") from None
         self.session = open_session(path, model)
         free = (None, None)
         inputs = {"frames": (1, INPUT_PLANES, *free), "candidates": (1, CANDIDATE_PLANES, *free)}
