@@ -1,4 +1,4 @@
-"""Writer of videos of display values (`gffe demo`, the viewer)."""
+"""Writer of videos of display values (`gffe run`, `gffe demo`)."""
 
 from __future__ import annotations
 
@@ -18,12 +18,13 @@ class EncoderError(GffeError):
 
 
 def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
-    """Write (H, W, 3) uint8 frames as H.264 MP4. Raises GffeError without the encoder's package, EncoderError when it
-    fails, and whatever `frames` raise; the encoder has ended then."""
+    """Write (H, W, 3) uint8 frames as H.264, in the container that the file's suffix names. Where a side is odd, the
+    last row or column is doubled. Raises GffeError without the encoder's package, EncoderError when it fails, and
+    whatever `frames` raise; the encoder has ended then."""
     require_video()
     import imageio_ffmpeg
 
-    frames = iter(frames)
+    frames = (np.pad(frame, [(0, n % 2) for n in frame.shape[:2]] + [(0, 0)], "edge") for frame in frames)
     first = next(frames)
     try:
         writer = imageio_ffmpeg.write_frames(
@@ -39,6 +40,8 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
             writer.send(None)
             for frame in chain([first], frames):
                 writer.send(np.ascontiguousarray(frame))
+        if not path.stat().st_size:
+            raise OSError("the encoder wrote nothing")
     except (OSError, RuntimeError) as error:
         raise EncoderError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None
 

@@ -11,6 +11,7 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     FollowLinksOption,
     JsonOption,
+    OverwriteOption,
     app,
     out,
     parse_size,
@@ -58,6 +59,7 @@ def bench(
     ] = None,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
     *,
     options: Options,
 ) -> None:

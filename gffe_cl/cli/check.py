@@ -11,7 +11,9 @@ import typer
 from gffe_cl.cli.common import (
     FollowLinksOption,
     JsonOption,
+    OverwriteOption,
     app,
+    counted,
     out,
     output_file,
     plain,
@@ -38,6 +40,7 @@ def check(
     ] = None,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Report faults of a sequence: in motion vectors, depth, cameras, colors and the order of frames.
 
@@ -48,7 +51,7 @@ def check(
 
     opened = open_capture(sequence)
     diagnosis = examine(opened, opened.exposure, opened.format)
-    title = f"{sequence}: {len(opened.rendered)} rendered frames, {opened.width}×{opened.height}"
+    title = f"{sequence}: {counted(len(opened.rendered), 'rendered frame')}, {opened.width}×{opened.height}"
     looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
     out.print(plain(title + looked))
     for note in opened.notes:

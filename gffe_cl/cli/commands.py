@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import os
 from functools import cache, partial
 from typing import Annotated, Any
 
@@ -42,6 +43,8 @@ def invoke(arguments: list[str]) -> int:
     for name in (command, *(f"{command} {word.partition('=')[0]}" for word in arguments[1:])):
         if removed := removal(name):
             raise GffeError(removed)
+    if "_GFFE_COMPLETE" in os.environ:  # the shell asks for completions
+        _command().main(prog_name="gffe")
     try:
         words = (word.partition("=") for word in arguments)
         arguments = [RENAMED.get(name, name) + equals + value for name, equals, value in words]

@@ -22,6 +22,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
 from gffe_cl.engine.core.errors import GffeError, printable, shortened
 from gffe_cl.engine.core.files import follow_links_everywhere, require_output_file, require_readable, write_text
+from gffe_cl.engine.core.public_names import __version__
 from gffe_cl.engine.core.validation import is_number, require_choice
 from gffe_cl.engine.options import OPTIONS, PRESETS, Option, Options
 
@@ -31,7 +32,6 @@ if TYPE_CHECKING:
 app = typer.Typer(
     help="G-buffer free frame extrapolation: makes the frames after the ones your renderer has finished.",
     no_args_is_help=True,
-    add_completion=False,
     rich_markup_mode="rich",
     pretty_exceptions_enable=False,
 )
@@ -61,9 +61,30 @@ FollowLinksOption = Annotated[
 ]
 
 
-def output_file(option: str):
-    """Return a callback for an option that names a file to write: it is checked before the work, not after it."""
-    return lambda path: None if path is None else require_output_file(path, option)
+_overwriting = False  # of this command
+
+
+def _set_overwriting(wanted: bool) -> bool:
+    global _overwriting
+    _overwriting = wanted
+    return wanted
+
+
+OverwriteOption = Annotated[
+    bool,
+    typer.Option(
+        "--overwrite",
+        help="Earlier output: start anew, and replace files that other programs wrote.",
+        callback=_set_overwriting,
+        is_eager=True,  # output files are checked by it
+    ),
+]
+
+
+def output_file(option: str, media: bool = False):
+    """Return a callback for an option that names a file to write, a report or with `media` a picture or video: it is
+    checked before the work, not after it."""
+    return lambda path: None if path is None else require_output_file(path, option, _overwriting, media)
 
 
 def input_file(option: str):
@@ -193,7 +214,8 @@ def write_json(path: Path | None, document: dict) -> None:
     if path is None:
         return
     try:
-        write_text(path, json.dumps(_finite(document), indent=1, allow_nan=False) + "\n")
+        marked = _finite({"generator": f"gffe-cl {__version__}", **document})
+        write_text(path, json.dumps(marked, indent=1, allow_nan=False) + "\n")
     except OSError as error:
         raise GffeError(f"{path}: cannot write: {error.strerror or error}") from None
 
@@ -205,6 +227,11 @@ def _finite(value):
     if isinstance(value, list | tuple):
         return [_finite(item) for item in value]
     return None if isinstance(value, float) and not math.isfinite(value) else value
+
+
+def counted(count: int, what: str) -> str:
+    """Return a number of things: "1 frame", "2 frames"."""
+    return f"{count} {what}" + ("" if count == 1 else "s")
 
 
 def duration(seconds: float) -> str:
@@ -254,6 +281,7 @@ def plain(text: object) -> str:
     return escape(printable(str(text)))
 
 
+NOBODY_READS = 141  # exit code of a program that SIGPIPE ends
 SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # options of the commands that only measure
 
 
@@ -410,6 +438,9 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
         kept = "; ".join(_notes(error))
         say(plain(shortened(f"interrupted: {kept}" if kept else "interrupted")))
         return INTERRUPTED
+    if isinstance(error, BrokenPipeError | SystemExit):  # rich ends the process where a pipe has no reader
+        _drop_unwritable_output()
+        return NOBODY_READS
     if isinstance(error, GffeError):
         message = str(error)
     elif isinstance(error, ModuleNotFoundError) and not str(error.name).startswith("gffe_cl"):
@@ -420,8 +451,6 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
         message = f"{getattr(error, 'filename', None) or 'system'}: {getattr(error, 'strerror', None) or error}"
         if isinstance(error, OSError):
             _drop_unwritable_output()
-    elif isinstance(error, SystemExit):  # the console's, which has dropped its output then
-        message = "system: Broken pipe"
     elif format_message := getattr(error, "format_message", None):  # usage errors of the command line library
         message = f"{format_message()} (see `gffe --help`)"
     else:

@@ -11,6 +11,7 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     FollowLinksOption,
     JsonOption,
+    OverwriteOption,
     app,
     named,
     out,
@@ -39,6 +40,7 @@ def compare(
     ] = None,
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Measure extrapolated frames of A against the ground truth of B."""
     from gffe_cl.lab.compare import compare as compare_sequences

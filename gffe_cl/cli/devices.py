@@ -9,6 +9,7 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     JsonOption,
+    OverwriteOption,
     app,
     duration,
     out,
@@ -24,6 +25,7 @@ def devices(
         bool, typer.Option("--refresh", help="Device cache: ignore it and probe every device again.")
     ] = False,
     json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """List every OpenCL device with the result of a test kernel and its missing features."""
     from dataclasses import asdict

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from gffe_cl.cli.common import DeviceOption, app, out, plain, takes_options
+from gffe_cl.cli.common import DeviceOption, app, counted, out, plain, takes_options
 from gffe_cl.cli.run import open_source
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.options import OPTIONS
@@ -55,4 +55,4 @@ def export(
     out.print(f"{len(written)} files in {plain(output)}: README.md explains how to build and call them.")
     if source:
         made = write_frames(output / "frames", source, count)
-        out.print(f"{made} rendered frames in {plain(output / 'frames')} for the example, gffe_example.")
+        out.print(f"{counted(made, 'rendered frame')} in {plain(output / 'frames')} for the example, gffe_example.")

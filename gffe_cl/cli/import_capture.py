@@ -13,7 +13,9 @@ from gffe_cl.cli.common import (
     EncodeOption,
     FollowLinksOption,
     JsonOption,
+    OverwriteOption,
     app,
+    counted,
     out,
     parse_encoding,
     plain,
@@ -25,7 +27,7 @@ from gffe_cl.cli.common import (
 
 
 @app.command()
-def formats(json_path: JsonOption = None) -> None:
+def formats(json_path: JsonOption = None, overwrite: OverwriteOption = False) -> None:
     """List the forms of captures that every command opens, with an example of each."""
     from gffe_cl.captures.formats import FORMATS
 
@@ -62,6 +64,7 @@ def import_(
     compression: CompressionOption = "zip",
     follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Convert a capture of any known form into a sequence of our own."""
     from gffe_cl.captures.doctor import FoundFormat, with_format
@@ -84,5 +87,7 @@ def import_(
         )
     for warning in report.warnings:
         warn(warning)
-    out.print(f"{report.rendered} rendered frames and {report.ground_truth} of ground truth in {plain(output)}")
+    out.print(
+        f"{counted(report.rendered, 'rendered frame')} and {report.ground_truth} of ground truth in {plain(output)}"
+    )
     write_json(json_path, vars(report))

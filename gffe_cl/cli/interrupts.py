@@ -12,7 +12,7 @@ import threading
 
 INTERRUPTED = 130
 _KINDS = tuple(getattr(signal, name) for name in ("SIGINT", "SIGTERM", "SIGHUP") if hasattr(signal, name))
-_GRACE = 4.0  # seconds
+_GRACE = 3.0  # seconds: one signal ends every command within five
 
 
 class Interrupts:

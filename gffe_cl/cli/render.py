@@ -12,6 +12,7 @@ from gffe_cl.cli.common import (
     DeviceOption,
     EncodeOption,
     app,
+    counted,
     out,
     parse_encoding,
     parse_size,
@@ -98,4 +99,4 @@ def render(
             compression=compression,
             on_frame=steps(progress)(f"Rendering '{scene}'", total),
         )
-    out.print(f"{count} frames in {plain(output)}")
+    out.print(f"{counted(count, 'frame')} in {plain(output)}")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import shutil
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -14,7 +15,10 @@ from gffe_cl.cli.common import (
     FollowLinksOption,
     JsonOption,
     NoCheckOption,
+    OverwriteOption,
     app,
+    counted,
+    named,
     out,
     parse_numbers,
     parse_size,
@@ -26,6 +30,7 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.files import VIDEOS, is_video, require_output_file
 from gffe_cl.engine.core.validation import require_choice
 from gffe_cl.engine.options import OPTIONS
 
@@ -37,13 +42,18 @@ if TYPE_CHECKING:
 
 
 _MANY_CUTS = 0.2  # of the rendered frames
+# Suffixes of files that nobody gives to a folder.
+_FILES = (".avi", ".webm", ".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".webp", ".gif", ".json", ".csv", ".npz")
 
 
 @app.command()
 @takes_options(*(name for name in OPTIONS if name != "ui_detection"))  # it has a third value here
 def run(
-    sequence: Annotated[Path, typer.Argument(help="Folder of a capture (see `gffe formats`), or a built-in scene.")],
-    output: Annotated[Path, typer.Argument(help="Folder for the result, which is a sequence.")],
+    sequence: Annotated[
+        Path,
+        typer.Argument(help="Folder of a capture (see `gffe formats`) or of several, or a built-in scene."),
+    ],
+    output: Annotated[Path, typer.Argument(help="Folder for the result, which is a sequence; or a video: out.mp4.")],
     n: Annotated[
         int | None,
         typer.Option("-n", help="Number of extrapolated frames per rendered frame, 1 to 7 [dim](default: 1)[/]."),
@@ -96,11 +106,16 @@ def run(
     ] = "auto",
     no_check: NoCheckOption = False,
     follow_links: FollowLinksOption = False,
+    overwrite: OverwriteOption = False,
     json_path: JsonOption = None,
     *,
     options: Options,
 ) -> None:
-    """Extrapolate after every rendered frame of a sequence, or of a built-in scene that is rendered meanwhile."""
+    """Extrapolate after every rendered frame of a sequence, of all sequences in a folder, or of a built-in scene.
+
+    The same command continues an interrupted run: finished frames are taken up where input and settings are the same.
+    """
+    from gffe_cl.captures.formats import captures_in
     from gffe_cl.captures.offline.run import alphas_for, run_sequence
     from gffe_cl.engine.opencl.runtimes import keep_freed_memory
 
@@ -111,26 +126,87 @@ def run(
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
     require_choice(ui_detection, ("auto", "on", "off"), "--ui-detection")
     options = replace(options, shading_inputs=dump_stages, ui_detection=ui_detection == "on")
+    several = captures_in(sequence)
+    as_video = _is_video(output, several, alphas, overwrite)
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     keep_freed_memory()
-    opened, source = open_source(sequence, window, device, live, options.upscale)
-    if not no_check and _check_quickly(source, sequence, ui_detection):
-        options = replace(options, ui_detection=True)
+    opened: Any = None
+    sources, broken = [], {}
+    for path in several or [sequence]:
+        try:
+            opened, source = open_source(path, window, opened or device, live, options.upscale)
+        except GffeError as error:
+            if not several:
+                raise
+            broken[path.name] = str(error)
+        else:
+            sources.append((path, source))
+    if not sources:
+        raise GffeError("; ".join(named(name, reason) for name, reason in broken.items()))
     with progress_bars() as progress:
-        report = run_sequence(
-            source,
-            output,
-            opened,
-            options,
-            alphas,
-            predicted_camera=camera == "predicted",
-            strict=strict,
-            dump_stages=dump_stages,
-            compression=compression,
-            on_frame=steps(progress)("Extrapolating", source.count * len(alphas)),
-        )
-    _print_report(report, output)
-    write_json(json_path, _report_json(report, opened.info))
+        total = sum(source.count for _, source in sources) * len(alphas)
+        how: dict[str, Any] = {"predicted_camera": camera == "predicted", "strict": strict, "dump_stages": dump_stages}
+        how |= {"compression": compression, "overwrite": overwrite, "once": bool(several)}
+        how |= {"on_frame": steps(progress)("Extrapolating", total)}
+        reports = {}
+        for path, source in sources:
+            place = output / path.name if several else output
+            detects = not no_check and _check_quickly(source, path, ui_detection)
+            chosen = replace(options, ui_detection=True) if detects else options
+            try:
+                report = (_run_to_video if as_video else run_sequence)(source, place, opened, chosen, alphas, **how)
+            except GffeError as error:
+                if not several:
+                    raise
+                broken[path.name] = str(error)
+            else:
+                _print_report(report, place)
+                reports[path.name] = _report_json(report, opened.info)
+    write_json(json_path, {"sequences": reports} if several else next(iter(reports.values())))
+    for name, reason in broken.items():
+        warn(named(name, reason))
+    if broken:
+        raise GffeError(f"run: {len(broken)} of {len(several)} sequences failed: {', '.join(broken)}")
+
+
+def _is_video(output: Path, several: list[Path], alphas: list[float], overwrite: bool) -> bool:
+    """Return whether the output is a video. Raises GffeError for files of other kinds, and for videos that cannot be
+    written."""
+    from gffe_cl.captures.offline.run import alphas_for
+    from gffe_cl.captures.video import require_video
+
+    if output.suffix.lower() not in VIDEOS:
+        if output.suffix.lower() in _FILES and not output.is_dir():
+            raise GffeError(f"{output}: is no name of a folder (expected one, or a video: {', '.join(VIDEOS)})")
+        return False
+    if several:
+        raise GffeError(f"{output}: the input has {len(several)} sequences (expected a folder for the results)")
+    if len(alphas) > 7 or sorted(alphas) != alphas_for(len(alphas)):
+        raise GffeError(f"{output}: the new frames of a video are equally spaced (expected -n in place of --alpha)")
+    require_video()
+    require_output_file(output, "OUTPUT", overwrite, media=True)
+    return True
+
+
+def _run_to_video(source, place: Path, device, options, alphas, **how) -> RunReport:
+    """Run into a folder beside the video `place`, join rendered and new frames, and return the report."""
+    from gffe_cl.captures.offline.run import run_sequence
+    from gffe_cl.captures.sequence import open_sequence
+    from gffe_cl.captures.video import write_video
+    from gffe_cl.engine.core.files import replacing
+    from gffe_cl.engine.frame.transfer_function import to_display
+    from gffe_cl.lab.compare import shown_color
+
+    if how["dump_stages"]:
+        raise GffeError(f"--dump-stages needs a folder for the result, got the video {place}")
+    folder = place.with_name(f".{place.name}.frames")
+    report = run_sequence(source, folder, device, options, alphas, **how)
+    made = open_sequence(folder)
+    shown = (to_display(shown_color(made, entry, device), made.exposure) for entry in made.frames)
+    with replacing(place) as part:
+        write_video(part, ((255 * color + 0.5).astype("uint8") for color in shown), made.fps * (1 + len(alphas)))
+    shutil.rmtree(folder, ignore_errors=True)
+    return report
 
 
 def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> bool:
@@ -153,33 +229,46 @@ def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> 
 def open_source(
     sequence: Path,
     window: str | None,
-    device: str | None,
+    device: str | Device | None,
     live: dict[str, Any],
     upscale: float = 0.0,
 ) -> tuple[Device, Recorded | Live]:
-    """Open a folder as a sequence, and return device and source. Other names may be built-in scenes, rendered as `live`
-    describes."""
+    """Open a folder as a sequence, and return device and source; `device`: its name, or an open one. Other names may be
+    built-in scenes, rendered as `live` describes."""
     from gffe_cl.captures.formats import open_capture
     from gffe_cl.captures.offline.source import Live, Recorded
     from gffe_cl.captures.scenes import is_scene, load_scene, scene_names
     from gffe_cl.engine.opencl.device import open_device
 
+    def opened() -> Device:
+        return open_device(device, profiling=True) if device is None or isinstance(device, str) else device
+
     if is_scene(str(sequence)):
         size, frames, fps, seed = live.values()
         size = parse_size("960x540" if size is None else size)
-        scene, opened = load_scene(str(sequence), 0 if seed is None else seed), open_device(device, profiling=True)
+        scene, chosen = load_scene(str(sequence), 0 if seed is None else seed), opened()
         frames, fps = 30 if frames is None else frames, 30.0 if fps is None else fps
-        return opened, Live(scene, opened, *size, frames, fps, window or "off", upscale)
+        return chosen, Live(scene, chosen, *size, frames, fps, window or "off", upscale)
     given = [option for option, value in live.items() if value is not None]
     if given:
         raise GffeError(f"{given[0]} is for built-in scenes ({scene_names()}), {sequence} is none")
-    recorded, opened = open_capture(sequence), open_device(device, profiling=True)
-    return opened, Recorded(recorded, opened, window, upscale)
+    if not sequence.exists() and sequence.name == str(sequence):
+        raise GffeError(f"{sequence}: no such folder, and no built-in scene (there is: {scene_names()})")
+    if is_video(sequence) and sequence.is_file():
+        raise GffeError(
+            f"{sequence}: a video has no depth, motion vectors and cameras (expected a capture with these, see `gffe"
+            " formats`)"
+        )
+    recorded, chosen = open_capture(sequence), opened()
+    return chosen, Recorded(recorded, chosen, window, upscale)
 
 
 def _print_report(report: RunReport, output: Path) -> None:
     from gffe_cl.captures.sequence.reader import usable_cores
 
+    if not report.extrapolated:
+        out.print(f"{plain(output)} is complete (--overwrite makes it anew)")
+        return
     for warning in report.warnings:
         warn(warning)
     if report.bad_pixels:
@@ -189,7 +278,9 @@ def _print_report(report: RunReport, output: Path) -> None:
     if 1 < len(report.cuts) > _MANY_CUTS * report.rendered:
         warn(f"{len(report.cuts)} of {report.rendered} rendered frames look like cuts: do the motion vectors fit?")
     times = ", ".join(f"{name} {ms:.1f}" for name, ms in report.milliseconds.items() if ms)
-    out.print(f"{report.extrapolated} extrapolated frames in {plain(output)} (ms per frame: {times})")
+    if report.taken_up:
+        out.print(f"{counted(report.taken_up, 'frame')} of an interrupted run taken up")
+    out.print(f"{counted(report.extrapolated, 'extrapolated frame')} in {plain(output)} (ms per frame: {times})")
     spent = report.seconds
     out.print(
         f"{spent['wall']:.1f} s: kernels {spent['kernels']:.1f}, network {spent['network']:.1f}, meanwhile EXRs"
@@ -200,6 +291,7 @@ def _print_report(report: RunReport, output: Path) -> None:
 def _report_json(report: RunReport, info: DeviceInfo) -> dict:
     return {
         "extrapolated": report.extrapolated,
+        "taken_up": report.taken_up,
         "device": info.name,
         "platform": info.platform,
         "milliseconds": report.milliseconds,

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 from rich.table import Table
 
-from gffe_cl.cli.common import DeviceOption, JsonOption, app, err, out, output_file, plain, write_json
+from gffe_cl.cli.common import DeviceOption, JsonOption, OverwriteOption, app, err, out, output_file, plain, write_json
 
 if TYPE_CHECKING:
     from gffe_cl.engine.opencl.device import DeviceInfo
@@ -38,6 +38,7 @@ def selftest(
     ] = False,
     seconds: Annotated[float, typer.Option("--timeout", help="Time limit per device, seconds.", min=1.0)] = 600.0,
     json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Run a fixed workload on every device, and compare every buffer with recorded references, bit by bit.
 

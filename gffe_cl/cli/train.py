@@ -12,6 +12,7 @@ import typer
 from gffe_cl.cli.common import (
     DeviceOption,
     JsonOption,
+    OverwriteOption,
     app,
     input_file,
     out,
@@ -77,6 +78,7 @@ def train(
     ] = None,
     device: DeviceOption = None,
     json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Train the shading correction network on varied built-in scenes, and export it as ONNX."""
     require_packages("training", "train", "torch", "onnx")

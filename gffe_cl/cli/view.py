@@ -12,6 +12,7 @@ from gffe_cl.cli.common import (
     DeviceOption,
     FollowLinksOption,
     NoCheckOption,
+    OverwriteOption,
     app,
     output_file,
     parse_size,
@@ -53,7 +54,7 @@ ScreenshotOption = Annotated[
     Path | None,
     typer.Option(
         help="PNG file for a screenshot of the whole window, after which the viewer exits.",
-        callback=output_file("--screenshot"),
+        callback=output_file("--screenshot", media=True),
     ),
 ]
 FrameOption = Annotated[
@@ -70,7 +71,8 @@ ActionsOption = Annotated[
 FilmOption = Annotated[
     Path | None,
     typer.Option(
-        help="File for a film of the window while the script waits: .webp or .gif.", callback=output_file("--film")
+        help="File for a film of the window while the script waits: .webp or .gif.",
+        callback=output_file("--film", media=True),
     ),
 ]
 
@@ -105,6 +107,7 @@ def view(
     cache: Annotated[int, typer.Option(help="Memory for frames, pipelines and textures, MiB; 0: no cache.")] = 2048,
     no_check: NoCheckOption = False,
     follow_links: FollowLinksOption = False,
+    overwrite: OverwriteOption = False,
     *,
     options: Options,
 ) -> None:

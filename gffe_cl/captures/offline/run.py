@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 from collections import defaultdict
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from contextlib import suppress
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from time import perf_counter
 from typing import Any
@@ -14,11 +16,15 @@ import numpy as np
 
 from gffe_cl.captures.offline.source import Source
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.captures.sequence.description import FILE_NAME, parse_description, read_text
 from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_channels
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.public_names import __version__
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.program import kernel_digest
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -32,8 +38,8 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 class RunReport:
     """Summary of a run: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
     wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
-    "network", and "codec_cpu", CPU time for reading and writing EXRs; how many frames were rendered ones, and the files
-    of those that were found to be cuts."""
+    "network", and "codec_cpu", CPU time for reading and writing EXRs; how many frames were rendered ones, how many more
+    an interrupted run had made, and the files of those that were found to be cuts."""
 
     extrapolated: int
     bad_pixels: BadPixels
@@ -41,6 +47,7 @@ class RunReport:
     milliseconds: dict[str, float]
     seconds: dict[str, float] = field(default_factory=dict)
     rendered: int = 0
+    taken_up: int = 0
     cuts: list[str] = field(default_factory=list)
 
 
@@ -62,6 +69,8 @@ def run_sequence(
     strict: bool = False,
     dump_stages: bool = False,
     compression: str = DEFAULT_COMPRESSION,
+    overwrite: bool = False,
+    once: bool = False,
     on_frame: Callable[[], None] = lambda: None,
 ) -> RunReport:
     """Extrapolate after every rendered frame of `source`, write the result to `output`, and return a summary.
@@ -69,7 +78,9 @@ def run_sequence(
     The cameras after a rendered frame come from `source`, for the times of all new frames there; if it lacks one, or
     with `predicted_camera`, all of them are predicted (C̄). `compression` is that of new EXRs (see `SequenceWriter`).
     `on_frame` is called after each extrapolated frame. Rendered frames that are found to be cuts become resets in
-    `output`.
+    `output`. An interrupted run of the same input and settings is continued unless it is to `overwrite`: rendered
+    frames are submitted again, finished frames are taken up, and the result has the same bits. With `once` nothing is
+    made where such a result is complete. Dumps of stages are made anew.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
@@ -82,6 +93,11 @@ def run_sequence(
         given = ", ".join(f"{a:g}" for a in alphas) or "none"
         raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
     source.refuse(output)
+    settings = None if dump_stages else _settings(source, device, options, alphas, predicted_camera, compression)
+    if once and not overwrite and _is_complete(output, settings):
+        for _ in range(source.count * len(alphas)):
+            on_frame()
+        return RunReport(0, BadPixels(), [], {}, taken_up=source.count * len(alphas))
     size = (source.width, source.height)
     writing = SequenceWriter(
         output,
@@ -91,6 +107,7 @@ def run_sequence(
         generator="gffe-cl run",
         compression=compression,
         format=source.format,
+        settings=settings,
     )
     frames = source.frames(alphas, strict)  # the first ones are read while kernels are built
     pipeline = Pipeline(device, *size, options, render_size=source.render_size, fps=source.fps)
@@ -117,9 +134,15 @@ def run_sequence(
             times = [frame.time + alpha * pipeline.interval for alpha in alphas]
             cameras = None if predicted_camera else source.cameras_at(times)
             for alpha, time, camera in zip(alphas, times, cameras or [None] * len(times), strict=True):
+                file = f"extrapolated_{source.number_of(entry)}_{suffixes[alpha]}.exr"
+                if file in writer.finished and not overwrite:
+                    writer.take_up(writer.finished[file])
+                    report.taken_up += 1
+                    on_frame()
+                    continue
                 extrapolated = pipeline.extrapolate(camera, time)
                 made = FrameEntry(
-                    file=f"extrapolated_{source.number_of(entry)}_{suffixes[alpha]}.exr",
+                    file=file,
                     time=time,
                     kind="extrapolated",
                     source=entry.file,
@@ -149,6 +172,29 @@ def run_sequence(
         "codec_cpu": codec_seconds() - codec,
     }
     return report
+
+
+def _settings(
+    source: Source, device: Device, options: Options, alphas: list[float], predicted_camera: bool, compression: str
+) -> str:
+    """Return a digest of everything that the frames of a run depend on: input, settings, kernels and device."""
+    given: list = [asdict(options), alphas, predicted_camera, compression]
+    weights = Path(options.scn_model) if options.scn_model else inference.default_model()
+    if options.corrects_shading and weights:
+        with suppress(OSError):  # the pipeline refuses it
+            given.append(inference.digest_of_weights(weights))
+    device_name = [device.info.name, device.info.platform]
+    known = [__version__, kernel_digest(), device_name, source.identity(), *given]
+    return hashlib.sha256(json.dumps(known, default=str).encode()).hexdigest()[:32]
+
+
+def _is_complete(output: Path, settings: str | None) -> bool:
+    """Return whether the folder `output` has the whole result of a run with these `settings`."""
+    try:
+        description = parse_description(read_text(output / FILE_NAME))
+    except GffeError:
+        return False
+    return description.settings == settings is not None and not description.unfinished
 
 
 def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:

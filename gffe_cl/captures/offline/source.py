@@ -99,6 +99,10 @@ class Source(Protocol):
     def refuse(self, output: Path) -> None:
         """Raise GffeError if `output` must not be written to."""
 
+    def identity(self) -> list:
+        """Return values for JSON that tell the frames from all others."""
+        ...
+
     def warnings(self) -> list[str]:
         """Return legal but suspicious properties of the input so far, as sentences."""
         return []
@@ -236,6 +240,10 @@ class Recorded(Source):
     def refuse(self, output):
         refuse_same_folder(output, self.sequence.path)
 
+    def identity(self):
+        files = [(str(path), path.stat()) for path in sorted(self.sequence.path.rglob("*")) if path.is_file()]
+        return [self._window, self._upscale, [(name, stat.st_size, stat.st_mtime_ns) for name, stat in files]]
+
 
 class Live(Source):
     """Source of `count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
@@ -298,6 +306,9 @@ class Live(Source):
 
     def cameras_at(self, times):
         return [self.scene.camera(time, self.width, self.height) for time in times]
+
+    def identity(self):
+        return [self.name, self.scene.seed, self.width, self.height, self.count, self.fps, self._way]
 
 
 def _numbers(entries: list[FrameEntry]) -> list[str]:

@@ -100,7 +100,7 @@ class FrameEntry:
 class Description:
     """Contents of `sequence.json`; sizes in pixels, times in seconds. `unfinished`: the run that wrote it was
     interrupted, the frames are those that were finished then. `format`: of depth and motion of the rendered frames,
-    None: they have our conventions."""
+    None: they have our conventions. `settings`: digest of everything that the frames were made from."""
 
     width: int
     height: int
@@ -110,6 +110,7 @@ class Description:
     unfinished: bool = False
     known_cameras: tuple[FrameEntry, ...] = ()  # of other forms: kind "camera_only", no file
     format: FrameFormat | None = None
+    settings: str | None = None
 
 
 @contextmanager
@@ -146,6 +147,8 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
         [],
         _true_or_false(document.get("unfinished", False), f"{name}: unfinished"),
     )
+    if isinstance(document.get("settings"), str):
+        description.settings = document["settings"]
     if document.get("frame_format") is not None:
         description.format = _parse_format(document["frame_format"], version, name)
     frames = document.get("frames")
@@ -302,6 +305,8 @@ def describe(description: Description, generator: str) -> str:
     }
     if description.unfinished:
         document["unfinished"] = True
+    if description.settings is not None:
+        document["settings"] = description.settings
     if description.format is not None:
         document["frame_format"] = description.format.to_json()
     size = (description.width, description.height)

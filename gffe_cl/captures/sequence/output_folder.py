@@ -11,18 +11,20 @@ from pathlib import Path
 
 from gffe_cl.captures.sequence.description import FILE_NAME, FORMAT, check_file_name
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import open_regular
+from gffe_cl.engine.core.files import open_regular, write_text
 
 GENERATOR = "gffe-cl"
 PART, _EARLIER = ".part", ".earlier"
 
 
 def refuse_same_folder(output, source) -> None:
-    """Raise GffeError if `output` and `source`, folders or their `sequence.json`, are the same folder, or if writing to
-    the one would remove the other."""
+    """Raise GffeError if `output` and `source`, folders or their `sequence.json`, are the same folder, if writing to
+    the one would remove the other, or if `output` is inside `source`."""
     output_folder, folder = (Path(os.path.realpath(_folder_of(path))) for path in (output, source))
     if folder in (output_folder, _beside(output_folder, PART)):
         raise GffeError(f"{output}: the output would overwrite its input (expected another folder)")
+    if folder in output_folder.parents:
+        raise GffeError(f"{output}: the output would be inside its input {source} (expected another folder)")
 
 
 def why_unfinished(folder: Path) -> str | None:
@@ -45,11 +47,12 @@ class OutputFolder:
         self._claimed: set[str] = set()
         self._made_folders: list[Path] = []
 
-    def open(self) -> None:
-        """Create the folder to write into, or clear that of a run that was stopped."""
+    def open(self, settings: str | None = None) -> str | None:
+        """Create the folder to write into, or clear that of a run that was stopped. If it was of the same `settings`,
+        its files stay, and the text of its `sequence.json` is returned."""
         if os.path.lexists(self.path) and not self.path.is_dir():
             raise GffeError(f"{self.path}: is a file (expected a folder to write a sequence into)")
-        stub = {"format": FORMAT, "generator": self.generator, "unfinished": True, "frames": []}
+        stub = {"format": FORMAT, "generator": self.generator, "unfinished": True, "settings": settings, "frames": []}
         try:
             self._own = self._earlier_output(self._target)
             if self._target.exists() and not os.access(self._target, os.W_OK):
@@ -58,6 +61,9 @@ class OutputFolder:
                 if not (self.staging / FILE_NAME).exists() or self.staging.is_symlink():
                     raise GffeError(f"{self.staging}: was not written by {self.generator} (expected another folder)")
                 self._earlier_output(self.staging)
+                kept = (self.staging / FILE_NAME).read_text("utf-8")
+                if settings is not None and json.loads(kept).get("settings") == settings:
+                    return kept
                 shutil.rmtree(self.staging)
             self._make_folder(self.staging)
             (self.staging / FILE_NAME).write_text(json.dumps(stub))
@@ -65,6 +71,7 @@ class OutputFolder:
             raise GffeError(
                 f"{self.path}: cannot be written to ({error.strerror or error}; expected a writable folder)"
             ) from None
+        return None
 
     def claim(self, name: str) -> Path:
         """Return the path to write file `name` to. Raises GffeError if that would overwrite a file of another
@@ -81,9 +88,17 @@ class OutputFolder:
         self._claimed.add(name)
         return self._place(name)
 
+    def has(self, name: str) -> bool:
+        """Return whether the file `name` of this run, or of the one that is continued, is written."""
+        return (self.staging / name).is_file()
+
     def folder(self, name: str) -> Path:
         """Return the folder for files that are not frames and go into the folder `name` with them."""
         return self._place(f"{name}/any").parent
+
+    def note(self, document: str) -> None:
+        """Write the text `document` of `sequence.json` with the frames that are finished so far. Raises OSError."""
+        write_text(self.staging / FILE_NAME, document)
 
     def keep(self, document: str, interrupted: bool) -> Path:
         """Finish the output with the text `document` of `sequence.json`, and return the folder of the sequence. Files

@@ -5,6 +5,7 @@ from __future__ import annotations
 import contextlib
 import os
 import shutil
+import time
 from collections import deque
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
@@ -47,6 +48,7 @@ from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame
 _WAITING = 2  # frames, besides those that are being compressed
 _MOST_THREADS = 1024
 _MOST_BYTES = 2 << 30  # of frames under way
+_NOTED_EVERY = 10.0  # seconds, the list of finished frames of a run that may be continued
 
 
 class SequenceWriter:
@@ -69,15 +71,19 @@ class SequenceWriter:
         Description of depth and motion of the rendered frames, if these are stored as an engine has them.
     compression : str
         Compression of the EXRs: none, rle, zips, zip, piz, htj2k256, dwaa or dwab. All but the last two keep every bit.
+    settings : str or None
+        Digest of everything that the frames depend on. A stopped run of the same settings is continued: `finished` has
+        the entries of its extrapolated frames by their files, and `take_up` keeps one.
 
     Notes
     -----
     Frames are written beside `path`, into the folder `path`.part, which takes the place of `path` when the context
     ends: until then an earlier output stays unchanged. If the context ends by KeyboardInterrupt, `path`.part stays: its
     `sequence.json` lists the finished frames and is marked as unfinished, and a note of the exception names it. The
-    next run into `path` replaces it. After any other exception everything is as before. Errors of the threads are
-    raised by the next `add` or `link`, or at the end of the context. All of them are GffeError; so are a full disk and
-    a folder that cannot be written to. Of two runs into one folder at a time, one fails or the last one stays.
+    next run into `path` replaces it, or continues it (`settings`). After any other exception everything is as before.
+    Errors of the threads are raised by the next `add` or `link`, or at the end of the context. All of them are
+    GffeError; so are a full disk and a folder that cannot be written to. Of two runs into one folder at a time, one
+    fails or the last one stays.
     """
 
     def __init__(
@@ -91,13 +97,16 @@ class SequenceWriter:
         generator: str = GENERATOR,
         compression: str = exr.DEFAULT_COMPRESSION,
         format: FrameFormat | None = None,
+        settings: str | None = None,
     ):
         self.path = require_path(path, "writer: path")
         size = require_size((width, height), "writer: width and height", whole=True)
         fps, exposure = require_positive(fps, "writer: fps"), require_exposure(exposure, "writer: exposure")
         if format is not None:
             require_kind(format, FrameFormat, "writer: format", "a FrameFormat or None")
-        self._description = Description(*size, fps, exposure, [], format=format)
+        self._description = Description(*size, fps, exposure, [], format=format, settings=settings)
+        self.finished: dict[str, FrameEntry] = {}
+        self._noted = time.monotonic()
         self._generator = require_kind(generator, str, "writer: generator", "a text")
         self._folder = OutputFolder(self.path, generator)
         self._pending: deque = deque()
@@ -112,7 +121,10 @@ class SequenceWriter:
         self._size, self._first = size, None  # of the display; the first rendered frame
 
     def __enter__(self) -> SequenceWriter:
-        self._folder.open()
+        if kept := self._folder.open(self._description.settings):
+            with contextlib.suppress(GffeError):  # none was finished
+                frames = [entry for entry in parse_description(kept).frames if entry.kind == "extrapolated"]
+                self.finished = {entry.file: entry for entry in frames if self._folder.has(entry.file)}
         self._pool = ThreadPoolExecutor(self._threads, thread_name_prefix="gffe-write")
         return self
 
@@ -171,6 +183,11 @@ class SequenceWriter:
         source = Path(os.path.realpath(require_path(source_path, "writer: source_path")))
         self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
 
+    def take_up(self, entry: FrameEntry) -> None:
+        """Keep a frame of `finished`."""
+        self._folder.claim(entry.file)
+        self._description.frames.append(entry)
+
     def folder(self, name: str) -> Path:
         """Return the folder for other files of this run, which come to `path`/name together with the frames."""
         return self._folder.folder(check_file_name(name, str(self.path)))
@@ -208,16 +225,22 @@ class SequenceWriter:
                 if not interrupted:
                     raise
             self._pending.popleft()
-        frames = sorted(self._description.frames, key=lambda entry: (entry.time, KINDS.index(entry.kind), entry.file))
-        if not frames:
+        if not self._description.frames:
             self._folder.discard()
             if not interrupted:
                 raise GffeError(f"{self.path}: no frame was written (expected at least one)")
             return
-        document = describe(replace(self._description, frames=frames, unfinished=interrupted), self._generator)
+        document = self._document(interrupted)
         parse_description(document)  # do not write files that would not open again
         folder = self._folder.keep(document, interrupted)
-        self._kept = f"{len(frames)} finished frames are in {folder}" if interrupted else f"{folder} is complete"
+        count = len(self._description.frames)
+        self._kept = f"{count} finished frames are in {folder}" if interrupted else f"{folder} is complete"
+
+    def _document(self, unfinished: bool) -> str:
+        """Return the text of `sequence.json` with the frames that are written."""
+        written = list(self._description.frames)  # threads add to it
+        frames = sorted(written, key=lambda entry: (entry.time, KINDS.index(entry.kind), entry.file))
+        return describe(replace(self._description, frames=frames, unfinished=unfinished), self._generator)
 
     def _end_threads(self) -> None:
         if self._pool is not None:
@@ -234,6 +257,10 @@ class SequenceWriter:
             future, held = self._pending.popleft()
             self._bytes -= held
             future.result()
+        if self._description.settings is not None and time.monotonic() - self._noted > _NOTED_EVERY:
+            with contextlib.suppress(OSError):  # a full disk fails elsewhere
+                self._folder.note(self._document(unfinished=True))
+            self._noted = time.monotonic()
         if entry.kind != "extrapolated" and entry.time in self._times:
             raise GffeError(f"{entry.file}: time {entry.time:g} s (expected one of its own)")
         path = self._folder.claim(entry.file)

@@ -4,7 +4,9 @@ refer to."""
 from __future__ import annotations
 
 import errno
+import mimetypes
 import os
+import re
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
@@ -23,6 +25,15 @@ from gffe_cl.engine.core.validation import require_bool
 
 _OPENING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
+VIDEOS = (".mp4", ".mov", ".mkv")  # that are written
+_MEDIA = {  # first bytes of pictures and videos: where, and which
+    ".png": (0, b"\x89PNG"),
+    ".webp": (8, b"WEBP"),
+    ".gif": (0, b"GIF8"),
+    ".mp4": (4, b"ftyp"),
+    ".mkv": (0, b"\x1aE\xdf\xa3"),
+}
+_OWN = re.compile(rb'"(generator": "gffe-cl|frame_format":)')  # in JSON that this program writes
 _MOST_SMALL, _MOST_PER_PIXEL, _MOST = 64 << 20, 512, 4 << 30  # bytes that an image may decode to
 _anywhere = False  # of this process
 _anywhere_here: ContextVar[bool | None] = ContextVar("follow_links", default=None)  # of one call
@@ -208,9 +219,16 @@ def lock(file, shared: bool = False) -> bool:
     return True
 
 
-def require_output_file(path: Path, option: str) -> Path:
-    """Return `path`. Raises a GffeError that names the `option` unless a report or picture may be written there: into a
-    folder that exists, and not over a file of a sequence."""
+def is_video(path: Path) -> bool:
+    """Return whether the name of a file is that of a video."""
+    kind = mimetypes.guess_type(path.name)[0] or ""
+    return path.suffix.lower() in VIDEOS or kind.startswith("video/")
+
+
+def require_output_file(path: Path, option: str, overwrite: bool = False, media: bool = False) -> Path:
+    """Return `path`. Raises a GffeError that names the `option` unless a report, or with `media` a picture or video,
+    may be written there: into a folder that exists, not over a file of a sequence, and without `overwrite` only over a
+    file of the same kind, of reports one that this program wrote."""
     folder = path.absolute().parent
     if path.is_dir() or path.is_socket() or not folder.is_dir():
         raise GffeError(f"{option} {path}: must be a file in a folder that exists")
@@ -218,13 +236,24 @@ def require_output_file(path: Path, option: str) -> Path:
         raise GffeError(f"{option} {path}: cannot be written to (expected a folder with permission)")
     if path.name == "sequence.json" or path.suffix.lower() == ".exr" or _is_exr(path):
         raise GffeError(f"{option} {path}: is a file of a sequence (expected another file)")
+    if not overwrite and path.is_file() and not os.path.abspath(path).startswith("/dev/"):
+        head = _beginning(path)
+        kind = next((name for name, (start, magic) in _MEDIA.items() if head[start:].startswith(magic)), None)
+        if not (kind == path.suffix.lower().replace(".mov", ".mp4") if media else not head or _OWN.search(head)):
+            what = "of another kind" if media else "that gffe-cl did not write"
+            raise GffeError(f"{option} {path}: is a file {what} (expected another file, or --overwrite)")
     return path
 
 
-def _is_exr(path: Path) -> bool:
+def _beginning(path: Path) -> bytes:
+    """Return the first bytes of a regular file, none of one that cannot be read."""
     with suppress(OSError), open_regular(path) as file:
-        return file.read(len(_EXR_MAGIC)) == _EXR_MAGIC
-    return False
+        return file.read(1 << 16)
+    return b""
+
+
+def _is_exr(path: Path) -> bool:
+    return _beginning(path).startswith(_EXR_MAGIC)
 
 
 def require_moderate(nbytes: int, pixels: int, label: str) -> None:

@@ -165,6 +165,14 @@ def kernel_folder() -> Path:
     return Path(chosen)
 
 
+def kernel_digest() -> str:
+    """Return a hash of all kernel files."""
+    total = hashlib.sha256()
+    for path in sorted(path for path in kernel_folder().rglob("*") if path.suffix in (".cl", ".h")):
+        total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())
+    return total.hexdigest()
+
+
 def constants(name: str) -> dict[str, Any]:
     """Return the numbers that `kernels/<name>` and its headers define: {"BINS": 32768, …}."""
     return parse_constants(expand(name))

@@ -23,7 +23,7 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded, replacing
 from gffe_cl.engine.opencl.device import Device, open_device
-from gffe_cl.engine.opencl.program import kernel_folder
+from gffe_cl.engine.opencl.program import kernel_digest
 from gffe_cl.lab.metrics import REGIONS, Flicker, RegionErrors, masks, measurable, to_display
 from gffe_cl.lab.table.footage import Footage, Shot, Subject, at_full_size, find_labels, open_subject
 from gffe_cl.lab.table.methods import Method, chosen_methods
@@ -249,25 +249,21 @@ class Cache:
 
 def key_of(subject: dict, method: dict | None) -> str:
     """Return the key of the cell of a method on a subject, by their identities and the sources of the program."""
-    known = {"version": _VERSION, "subject": subject, "method": method, "sources": sources(), "kernels": kernels()}
+    known = {
+        "version": _VERSION,
+        "subject": subject,
+        "method": method,
+        "sources": sources(),
+        "kernels": kernel_digest(),
+    }
     return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()[:32]
 
 
 @cache
 def sources() -> str:
     """Return a hash of the modules that figures depend on."""
-    root = Path(str(files("gffe_cl")))
-    return _digest(path for wing in _USED for path in (root / wing).rglob("*.py"))
-
-
-def kernels() -> str:
-    """Return a hash of all kernel files."""
-    return _digest(path for path in kernel_folder().rglob("*") if path.suffix in (".cl", ".h"))
-
-
-def _digest(paths: Iterable[Path]) -> str:
-    total = hashlib.sha256()
-    for path in sorted(paths):
+    root, total = Path(str(files("gffe_cl"))), hashlib.sha256()
+    for path in sorted(path for wing in _USED for path in (root / wing).rglob("*.py")):
         total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())
     return total.hexdigest()
 
