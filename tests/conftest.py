@@ -1,11 +1,11 @@
 """Fixtures: every usable OpenCL device once (`GFFE_DEVICE` narrows the choice); the weights of the package are hidden,
 so that nothing hangs on them but the tests of themselves (test_quality.py). What is known of devices is found out anew
-by each run, and kept from the user's cache."""
+by each run, and kept from the user's cache. Files of tests that take longest come first, so that processes end together
+(`--no-loadscope-reorder`)."""
 
 import functools
 import os
 import sys
-import tempfile
 import traceback
 from pathlib import Path
 
@@ -15,9 +15,11 @@ from gffe_cl.cli import main
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.device import best_of, list_devices, open_info, select
 
+_cache = Path(__file__).parents[1] / ".pytest_cache" / "devices"
 if "PYTEST_XDIST_WORKER" not in os.environ:  # workers and children of tests share it
-    _cache = tempfile.TemporaryDirectory(prefix="gffe-tests-")
-    os.environ["GFFE_DEVICE_CACHE"] = _cache.name
+    for _known in _cache.glob("*.json"):
+        _known.unlink(missing_ok=True)
+    os.environ["GFFE_DEVICE_CACHE"] = str(_cache)
 sys.path.append(str(Path(__file__).parents[1] / "docs/tools"))  # which are tested, too
 _helpers = Path(__file__).parent / "helpers"
 os.environ["PYTHONPATH"] = os.pathsep.join(filter(None, (str(_helpers), os.environ.get("PYTHONPATH"))))
@@ -101,7 +103,35 @@ def gffe(monkeypatch, capsys):
     return call
 
 
+# Files that take longest, in order.
+_LONGEST = (
+    "test_recorded_bits",
+    "test_viewer_model",
+    "test_viewer_cli",
+    "test_compilers",
+    "test_mistakes",
+    "test_cli",
+    "test_order_of_groups",
+    "test_bench",
+    "test_export",
+    "test_export_example",
+    "test_doctor",
+    "test_scn",
+    "test_hostile_content",
+    "test_viewer_engine",
+    "test_convolutions",
+    "test_docs",
+    "test_device",
+    "test_viewer_second",
+    "test_scenes",
+    "test_viewer_canvas",
+    "test_eval",
+)
+
+
 def pytest_collection_modifyitems(items):
+    order = {f"{name}.py": number for number, name in enumerate(_LONGEST)}
+    items.sort(key=lambda item: order.get(item.path.name, len(order)))
     for item in items:
         if "device" in getattr(item, "fixturenames", ()):
             item.add_marker("device")

@@ -13,13 +13,9 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError, require_packages
 
 
-class EncoderError(GffeError):
-    """The encoder failed."""
-
-
 def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
     """Write (H, W, 3) uint8 frames as H.264, in the container that the file's suffix names. Where a side is odd, the
-    last row or column is doubled. Raises GffeError without the encoder's package, EncoderError when it fails, and
+    last row or column is doubled. Raises GffeError without the encoder's package, or when it fails, and
     whatever `frames` raise; the encoder has ended then."""
     require_video()
     import imageio_ffmpeg
@@ -43,7 +39,7 @@ def write_video(path: Path, frames: Iterable[np.ndarray], fps: float) -> None:
         if not path.stat().st_size:
             raise OSError("the encoder wrote nothing")
     except (OSError, RuntimeError) as error:
-        raise EncoderError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None
+        raise GffeError(f"{path}: cannot write the video: {' '.join(str(error).split())[:200]}") from None
 
 
 def require_video() -> None:

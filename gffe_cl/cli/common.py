@@ -293,11 +293,7 @@ def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
     def decorate(command: Callable) -> Callable:
         chosen = [OPTIONS[name] for name in names or OPTIONS if OPTIONS[name].flag and name not in fixed]
         own = [p for p in inspect.signature(command).parameters.values() if p.name != "options"]
-        hints = {name: hint for name, hint in command.__annotations__.items() if name not in ("options", "return")}
-        resolved = {
-            name: typing.get_type_hints(_with(name, hint, command), include_extras=True)[name]
-            for name, hint in hints.items()
-        }
+        resolved = typing.get_type_hints(command, localns={"Options": Options}, include_extras=True)
         made = [parameter for option in chosen for parameter in _parameters(option)]
         if {name for preset in PRESETS.values() for name in preset.values} <= {option.name for option in chosen}:
             made.insert(0, _PRESET)
@@ -320,14 +316,6 @@ def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
         return with_options
 
     return decorate
-
-
-def _with(name: str, hint: Any, command: Callable) -> Callable:
-    def holder() -> None: ...
-
-    holder.__annotations__ = {name: hint}
-    holder.__wrapped__ = command  # where the names of the annotation are looked up
-    return holder
 
 
 def _parameters(option: Option) -> list[inspect.Parameter]:
@@ -438,6 +426,8 @@ def explain(error: BaseException, interrupts: Interrupts) -> int:
         kept = "; ".join(_notes(error))
         say(plain(shortened(f"interrupted: {kept}" if kept else "interrupted")))
         return INTERRUPTED
+    if isinstance(error, SystemExit) and not error.code:  # completion is installed, or printed
+        return 0
     if isinstance(error, BrokenPipeError | SystemExit):  # rich ends the process where a pipe has no reader
         _drop_unwritable_output()
         return NOBODY_READS

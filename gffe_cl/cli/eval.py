@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from contextlib import contextmanager
+from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -113,8 +113,8 @@ def evaluate(
 ) -> None:
     """Measure the quality and time of methods on sequences. Finished cells are kept."""
     require_packages("eval", "lab", "skimage", "scipy")
-    from gffe_cl.captures.scenes import SCENES
-    from gffe_cl.lab.table.cells import TableOrder
+    from gffe_cl.captures.scenes import SCENES, is_scene
+    from gffe_cl.lab.table.cells import TableOrder, fill
     from gffe_cl.lab.table.footage import SceneSubject
     from gffe_cl.lab.table.methods import LATE_WARP
     from gffe_cl.lab.table.results import results_of
@@ -129,19 +129,26 @@ def evaluate(
     if not alphas or len(set(alphas)) < len(alphas) or not all(0 < a <= 8 for a in alphas):
         raise GffeError(f"--alpha must be different numbers within 0 and 8, got '{alpha}'")
     scenes = parse_size(size), frames, fps, alphas
-    named = [name for text in subjects or SCENES for name in _seeded(text, seeds)]
+    named = []
+    for text in subjects or SCENES:
+        named += [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
     encodings = ["" if text == "exact" else text for text in encode or ("",)]
     chosen, broken = _subjects(named, encodings, *scenes)
     words = tuple(methods.split(",")) if methods else None
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
-    with _filling(output, device) as fill:
-        filled = fill("Measuring", TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network))
+    with progress_bars() as bars:
+
+        def filling(text: str, order: TableOrder) -> Filled:
+            return fill(order, output / "cells", device, partial(steps(bars), text))
+
+        filled = filling("Measuring", TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network))
         built_in = [s for s in chosen if isinstance(s, SceneSubject)]
         late = {}
         for turn in TURNS if late_warp and built_in else ():
-            turned = tuple(_turned(subject, turn) for subject in built_in)
-            late[turn] = fill(f"Late warp, {turn:g}°", TableOrder(turned, LATE_WARP, recompute=fresh, network=network))
+            turned = tuple(replace(subject, alphas=(), turns=(turn,)) for subject in built_in)
+            order = TableOrder(turned, LATE_WARP, recompute=fresh, network=network)
+            late[turn] = filling(f"Late warp, {turn:g}°", order)
     for name, reason in broken.items():
         filled.drop(name, reason)
     results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
@@ -170,19 +177,6 @@ def _subjects(texts, encodings, *scenes) -> tuple[tuple[Subject, ...], dict[str,
     return tuple(chosen), broken
 
 
-def _seeded(text: str, seeds: int) -> list[str]:
-    """Return a built-in scene's name with each seed in turn; anything else unchanged."""
-    from gffe_cl.captures.scenes import is_scene
-
-    return [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
-
-
-def _turned(subject: Subject, turn: float) -> Subject:
-    from dataclasses import replace
-
-    return replace(subject, alphas=(), turns=(turn,))
-
-
 def _videos(text: str | None) -> tuple[str, ...]:
     from gffe_cl.lab.table.videos import VIDEO_METRICS
 
@@ -203,20 +197,6 @@ def _folder(path: Path) -> Path:
     except OSError as error:
         raise GffeError(f"--out {path}: cannot be made ({error.strerror or error})") from None
     return path
-
-
-@contextmanager
-def _filling(output: Path, device: str | None):
-    """Yield a function that fills a table of cells cached in `output`, with a progress bar and an estimate of the time
-    left."""
-    from gffe_cl.lab.table.cells import fill
-
-    with progress_bars() as bars:
-
-        def filled(text: str, order) -> Filled:
-            return fill(order, output / "cells", device, partial(steps(bars), text))
-
-        yield filled
 
 
 def _write(output: Path, results: dict) -> None:
@@ -273,14 +253,12 @@ def _print_encodings(rows: list[dict]) -> None:
     names = dict.fromkeys(row["encoding"] for row in rows)
     table = Table("PSNR, dB (against gffe: mean, highest)", *map(plain, names), box=None, header_style="bold")
     for method in dict.fromkeys(row["method"] for row in rows):
-        own = {row["encoding"]: row for row in rows if row["method"] == method}
-        table.add_row(method, *(_encoded(own[name]) if name in own else "–" for name in names))
+        figures = dict.fromkeys(names, "–")
+        for row in (row for row in rows if row["method"] == method):
+            against = f" ({_db(row['against'])}, {_db(row['most'])})" if row["against"] is not None else ""
+            figures[row["encoding"]] = f"{row['psnr']:.2f}{against}"
+        table.add_row(method, *figures.values())
     out.print(table)
-
-
-def _encoded(row: dict) -> str:
-    against = f" ({_db(row['against'])}, {_db(row['most'])})" if row["against"] is not None else ""
-    return f"{row['psnr']:.2f}{against}"
 
 
 def _print_regions(results: dict) -> None:

@@ -289,14 +289,4 @@ def _print_report(report: RunReport, output: Path) -> None:
 
 
 def _report_json(report: RunReport, info: DeviceInfo) -> dict:
-    return {
-        "extrapolated": report.extrapolated,
-        "taken_up": report.taken_up,
-        "device": info.name,
-        "platform": info.platform,
-        "milliseconds": report.milliseconds,
-        "seconds": report.seconds,
-        "bad_pixels": vars(report.bad_pixels),
-        "cuts": report.cuts,
-        "warnings": report.warnings,
-    }
+    return {**vars(report), "bad_pixels": vars(report.bad_pixels), "device": info.name, "platform": info.platform}

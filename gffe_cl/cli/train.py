@@ -85,7 +85,7 @@ def train(
     import torch
 
     from gffe_cl.engine.opencl.device import open_device
-    from gffe_cl.lab.training.data import complete_clips, finished_clips, list_crops, make_clips
+    from gffe_cl.lab.training.data import finished_clips, list_crops, make_clips
     from gffe_cl.lab.training.training import Recipe, Training, clips_of_run
 
     if minutes is not None and not minutes > 0:
@@ -119,7 +119,7 @@ def train(
             )
             write_json(json_path, {"clips": made, "done": False})
             return
-        count = complete_clips(data, seed, wanted)
+        count = len(finished_clips(data, seed, wanted))
         training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start)
         bars.reset(task, description="steps", total=steps, completed=training.step)
         steps_until = None if limit is None else max(started + limit, time.monotonic() + limit / 3)

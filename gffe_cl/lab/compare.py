@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 
@@ -94,7 +95,8 @@ def compare(
     GffeError
         Different sizes, no frames that match, or a fault in a file.
     """
-    _require_same_size(a, b)
+    if (a.width, a.height) != (b.width, b.height):
+        raise GffeError(f"{a.path}: {a.width}×{a.height} pixels, expected {b.width}×{b.height} as in {b.path}")
     if not a.extrapolated:
         raise GffeError(f"{a.path}: no extrapolated frames to compare")
     if not b.ground_truth:
@@ -140,15 +142,11 @@ def baseline_repeat(
     return _score(pairs, sequence, sequence, None, progress, device)
 
 
-def _is_shown_whole(entry: FrameEntry) -> bool:
-    assert entry.render_camera is not None and entry.display_camera is not None  # a rendered frame has both
-    return is_shown_whole(entry.render_camera, entry.display_camera)
-
-
 def shown_color(sequence: Sequence, entry: FrameEntry, device: Device | None = None) -> np.ndarray:
     """Return linear RGB (H, W, 3) of a frame as displayed: the display part of a frame rendered through a window."""
     size = (sequence.width, sequence.height)
-    if entry.kind != "rendered" or (sequence.size_of(entry) == size and _is_shown_whole(entry)):
+    cameras: Any = entry.render_camera, entry.display_camera  # a rendered frame has both
+    if entry.kind != "rendered" or (sequence.size_of(entry) == size and is_shown_whole(*cameras)):
         return sequence.read_color(entry)
     return present(sequence.read(entry), size=size, device=device).color
 
@@ -212,11 +210,6 @@ def _resets_of_its_own(a: Sequence, b: Sequence) -> list[str]:
         return []
     more = f" and {len(found) - 1} more" if found[1:] else ""
     return [f"{found[0].file}{more}: reset in {a.path}, not in {b.path}; the means leave out the frames right after it"]
-
-
-def _require_same_size(a: Sequence, b: Sequence) -> None:
-    if (a.width, a.height) != (b.width, b.height):
-        raise GffeError(f"{a.path}: {a.width}×{a.height} pixels, expected {b.width}×{b.height} as in {b.path}")
 
 
 def _nulls(values: dict[str, float]) -> dict[str, float | None]:

@@ -57,10 +57,7 @@ def demo(output: Path, device: Device, width: int, height: int, seed: int, windo
         run_sequence(Recorded(source, device), folder, device, how, [0.5], on_frame=on_frame)
 
     on_frame = step("Measuring against ground truth", (1 + len(runs)) * _FRAMES)
-
-    def progress(done, total):
-        on_frame()
-
+    progress = lambda done, total: on_frame()  # noqa: E731
     results = {"repeat": baseline_repeat(source, progress, device)}
     for name, (folder, _) in runs.items():
         results[name] = compare(open_sequence(folder), source, progress=progress)

@@ -22,12 +22,13 @@ from gffe_cl.engine.timing import footage as timed_footage
 from gffe_cl.lab import bench as inputs
 
 ROOT = Path(__file__).parents[2]
+DEFAULT = ("--device", open_device().info.index)  # where no device is named, all are timed
 
 
 def test_bench(gffe, tmp_path):
     model = constant_model(tmp_path / "m.onnx")
     words = ("--sizes", "64x48,33x20", "--repeats", 1, "--scn-model", model, "--json", tmp_path / "b.json")
-    code, text, _ = gffe("bench", *words)
+    code, text, _ = gffe("bench", *words, *DEFAULT)
     assert code == 0 and "bytes per pixel" in text and "preset performance, ms" in text and "SCN, network" in text
     for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
         for size in one["sizes"]:
@@ -47,7 +48,7 @@ def test_bench(gffe, tmp_path):
 def test_bench_of_upscaling(gffe, tmp_path):
     """A row of its own, beside GAE of the smaller frames."""
     options = ("--sizes", "64x48", "--repeats", 1, "--json", tmp_path / "b.json", "--kernels")
-    code, text, _ = gffe("bench", *options, "--upscale", 2)
+    code, text, _ = gffe("bench", *options, "--upscale", 2, *DEFAULT)
     assert code == 0 and "upscaling.accumulate" in text
     for one in json.loads((tmp_path / "b.json").read_text())["devices"]:
         (size,) = one["sizes"]

@@ -139,7 +139,7 @@ def _measure(
             one = RegionErrors()
             one.add(shown, truth, masks(footage.labels[len(errors)]), metrics)
             errors.append(one)
-            row = {metric.name: _number(one.figure(metric.name, "whole")) for metric in metrics}
+            row = {metric.name: finite(one.figure(metric.name, "whole")) for metric in metrics}
             row["flicker"] = flicker.add(shown, truth) if in_order else None
             frames.append({"time": moment.time, "alpha": moment.alpha, "turn": moment.turn} | row)
             if videos:
@@ -149,7 +149,7 @@ def _measure(
     document = {
         "frames": frames,
         "errors": asdict(RegionErrors.pooled(errors)),
-        "flicker": _number(flicker.mean),
+        "flicker": finite(flicker.mean),
         "videos": figures,
         "skipped": skipped,
     }
@@ -211,7 +211,7 @@ def _median(values: list[float]) -> float | None:
     return statistics.median(values) if values else None
 
 
-def _number(value: float | None) -> float | None:
+def finite(value: float | None) -> float | None:
     """Return the value for JSON: None for NaN and infinity."""
     return None if value is None or not math.isfinite(value) else float(value)
 

@@ -96,12 +96,7 @@ class FolderSubject:
     def name(self) -> str:
         return _named(Path(self.path).resolve().name, self.encoding)
 
-    @property
-    def exact(self) -> bool:
-        """Whether moments have a `Guide`, as of `Footage`."""
-        return False
-
-    windows = exact
+    exact = windows = False
 
     def identity(self) -> dict:
         """Return the identity: by the contents of all files, not by their place."""

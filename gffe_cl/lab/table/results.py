@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.lab.metrics import METRICS, REGIONS, RegionErrors
-from gffe_cl.lab.table.cells import Cell, Filled
+from gffe_cl.lab.table.cells import Cell, Filled, finite
 from gffe_cl.lab.table.methods import FULL, GAINS
 from gffe_cl.lab.table.videos import VIDEO_METRICS
 
@@ -150,7 +150,7 @@ def gains(filled: Filled) -> list[dict]:
             "region": gain.region,
         }
         for key, region in (("whole", "whole"), ("in_region", gain.region)):
-            row[key] = _finite(errors[0].figure("psnr", region) - errors[1].figure("psnr", region))
+            row[key] = finite(errors[0].figure("psnr", region) - errors[1].figure("psnr", region))
         row["mean"] = float(np.mean([_average(a, "psnr") - _average(b, "psnr") for a, b in both]))
         row["paper"] = round(PAPER["Ours Full"]["psnr"] - PAPER[gain.paper]["psnr"], 2) if gain.paper else None
         found.append(row)
@@ -192,9 +192,9 @@ def to_csv(results: dict) -> str:
 
 def _cell(sequence: str, method: str, cell: Cell) -> dict:
     document, timing = cell.document, cell.timing or {}
-    figures = {column.name: _finite(_average(cell, column.name)) for column in METRIC_COLUMNS}
+    figures = {column.name: finite(_average(cell, column.name)) for column in METRIC_COLUMNS}
     regions = {
-        region: {name: _finite(value) for name, value in values.items()}
+        region: {name: finite(value) for name, value in values.items()}
         for region, values in cell.errors.figures().items()
         if region != "whole"
     }
@@ -214,7 +214,7 @@ def _mean(name: str, cells: list[dict], filled: Filled, names: list[str]) -> dic
         mean[column] = float(np.mean(values)) if values else None
     pooled = RegionErrors.pooled(filled.cells[cell["sequence"], name].errors for cell in own)
     figures = pooled.figures()
-    mean["regions"] = {region: {key: _finite(value) for key, value in figures[region].items()} for region in REGIONS}
+    mean["regions"] = {region: {key: finite(value) for key, value in figures[region].items()} for region in REGIONS}
     return mean
 
 
@@ -256,10 +256,6 @@ def _average(cell: Cell, name: str) -> float:
     """Return the mean of defined values over frames."""
     values = [frame[name] for frame in cell.document["frames"] if frame.get(name) is not None]
     return float(np.mean(values)) if values else float("nan")
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None
 
 
 def columns_of(results: dict) -> list[Column]:

@@ -164,12 +164,6 @@ def finished_clips(folder: Path, seed: int, count: int) -> list[Path]:
     return [path for path in paths if path.exists()]
 
 
-def complete_clips(folder: Path, seed: int, count: int) -> int:
-    """Return how many of the clips 0 … count − 1 are in `folder` before the first that is not."""
-    names = (clip_path(folder, seed, index).with_suffix(".json") for index in range(count))
-    return next((index for index, name in enumerate(names) if not name.exists()), count)
-
-
 def make_clips(
     folder: Path,
     device: Device,
@@ -195,7 +189,11 @@ def make_clips(
         for index in missing:
             if index >= least and until is not None and time.monotonic() > until:
                 break
-            _keep(clip_path(folder, seed, index), *clip_data(device, ClipPlan.draw(seed, index)))
+            name = clip_path(folder, seed, index)
+            samples, halved, document = clip_data(device, ClipPlan.draw(seed, index))
+            np.save(name, samples)
+            np.save(halved_path(name), halved)
+            write_text(name.with_suffix(".json"), json.dumps(document))
             made += 1
             on_clip(True)
     except OSError as error:
@@ -211,12 +209,6 @@ def clip_data(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, d
     crops = [crops_of(sample, rng) for sample in samples]
     halved = np.concatenate((halve_samples(samples), trends), 1)
     return samples, halved, {"version": VERSION, "plan": asdict(plan), "alphas": alphas, "crops": crops}
-
-
-def _keep(name: Path, samples: np.ndarray, halved: np.ndarray, document: dict) -> None:
-    np.save(name, samples)
-    np.save(halved_path(name), halved)
-    write_text(name.with_suffix(".json"), json.dumps(document))
 
 
 # ---- crops ---------------------------------------------------------------------------------------------
