@@ -13,11 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
+from gffe_cl.engine.inference.network import PACKAGED, SubstituteNetwork
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.selftest.reference import digest
 from gffe_cl.engine.selftest.scene import FPS, display_camera, frames
+from gffe_cl.engine.selftest.workload import HEAD, pattern
 
 PATH = Path(__file__).parents[1] / "engine/stages/recorded_bits.json"
 _FRAMES = 4
@@ -77,9 +79,11 @@ def _spoiled(frame, k):
 
 def digests_of(device, case, int64=None):
     """Return the digest of all buffers of each stage, and of the frames made, over all new frames of a case."""
-    options = replace(case.options, shading_inputs=True, shading_correction=False)  # which has weights, and twins
+    options = replace(case.options, shading_inputs=True, scn_model=str(PACKAGED))
     pipeline = Pipeline(device, *case.size, options, render_size=case.render_size, int64_atomics=int64)
     pipeline.keep()
+    if correction := pipeline.stages.get("correction"):
+        correction.use(SubstituteNetwork(HEAD, pattern))
     found: dict[str, list[np.ndarray]] = {}
     for k, frame in enumerate(frames(*case.size, case.render_size, count=_FRAMES, samples=1)):
         pipeline.submit(_spoiled(frame, k) if k else frame)

@@ -1,15 +1,12 @@
 """Small frames that hold everything (moving parts, sky, bad pixels), and pipelines that have seen them, for the tests
 of the stages."""
 
-import functools
 from typing import NamedTuple
 
 import numpy as np
 from synthetic import Rect, Rects, camera
 
-from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages import buffers
 
 SHARPNESS = 1.3  # of new frames, whatever was measured
 SCENE = Rects(
@@ -22,12 +19,6 @@ SCENE = Rects(
         Rect((7.5, 3, 9), (2.5, 1.8), velocity=(-30, -8, 0), frequency=1, tint=(0.3, 0.3, 0.9)),  # enters
     ]
 )
-# By name: options, and sizes of the rendered and of the new frame.
-CASES = {
-    "default": (Options(shading_inputs=True, blocks=False), (61, 37), (61, 37)),
-    "default-larger": (Options(shading_inputs=True, blocks=False), (48, 33), (64, 48)),
-    "linear-smaller": (Options(resampling="linear", levels=3, blocks=False), (64, 48), (40, 31)),
-}
 
 
 def time_of(k):
@@ -59,35 +50,13 @@ def frames(width, height, count=4, spoil=True, scene=SCENE):
 
 
 class Case(NamedTuple):
-    """A pipeline that has made a frame, what it was given, and what each of its stages left."""
+    """A pipeline that has made a frame, and what it was given."""
 
     pipeline: Pipeline
     now: object  # the rendered frames, as they were submitted
     past: object
     to: object  # camera of the new frame
     made: object
-
-    @property
-    def options(self):
-        return self.pipeline.options
-
-    def read(self, stage, name):
-        """Return a buffer of a stage."""
-        return self.pipeline.stages[stage].read(name)
-
-    def after(self, stage):
-        """Return the new frame as `stage` left it, by the names of its buffers; `stage` None: as it is in the end."""
-        frame = {spec.name: self.pipeline.board.frame.read(spec.name) for spec in self.pipeline.board.frame.buffers}
-        if stage is None:
-            return frame
-        names = list(self.pipeline.stages)
-        for owner, spec in self.pipeline.named_buffers():
-            if owner not in self.pipeline.stages.values() and owner.name in names[: names.index(stage) + 1]:
-                frame[spec.name] = owner.read(spec.name)  # in the order of the stages
-        if stage not in names[names.index("holes") :]:  # labels of holes are there before they are filled
-            holes = frame["filled_by"] == buffers.BY_HOLE_FILLING
-            frame["filled_by"] = np.where(holes, np.uint8(buffers.BY_NOTHING), frame["filled_by"])
-        return frame
 
 
 def run(device, width, height, options, int64=None, target=None, spoil=True):
@@ -102,13 +71,6 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
         pipeline.stages["sharpness"].upload("sharpness", np.array([SHARPNESS], np.float32))
     to = camera(*(target or (width, height)), (0.35, 0.07, 0.6), 0.075, 0.045, 0.035)
     return Case(pipeline, now, past, to, pipeline.extrapolate(to, now.time + 0.02))
-
-
-@functools.cache
-def named_case(device, name):
-    """Return the case `name` of CASES, made once per device."""
-    options, size, target = CASES[name]
-    return run(device, *size, options, target=target)
 
 
 def assert_close(got, expected):

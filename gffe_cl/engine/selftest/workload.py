@@ -86,10 +86,10 @@ def forms_of(device: Device) -> list[Form]:
     return [own, *others, *([replace(own, name="32-bit atomics", int64_atomics=False)] if own.int64_atomics else [])]
 
 
-_HEAD = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
+HEAD = ((np.arange(HEAD_WEIGHTS) * 37 % 64).astype(np.float32) - 32) / 256
 
 
-def _pattern(shape: tuple[int, ...]) -> np.ndarray:
+def pattern(shape: tuple[int, ...]) -> np.ndarray:
     """Return a judgement (planes, height, width) float32 that holds all kinds of values."""
     plane, y, x = np.ogrid[: shape[0], : shape[1], : shape[2]]
     return ((x * 7 + y * 13 + plane * 29 + (x // 4) * (y // 4) * 3) % 64).astype(np.float32) / 64 - 0.5
@@ -106,7 +106,7 @@ def moments(device: Device, case: Case, form: Form) -> Iterator[tuple[str, dict[
     pipeline.exposure = EXPOSURE
     pipeline.keep()
     if correction := pipeline.stages.get(ShadingCorrection.name):
-        correction.use(SubstituteNetwork(_HEAD, _pattern) if case.has_pattern else load_network(None, OPENCL))
+        correction.use(SubstituteNetwork(HEAD, pattern) if case.has_pattern else load_network(None, OPENCL))
     for k, frame in enumerate(frames(*SIZE, case.render_size)):
         pipeline.submit(frame)
         for j, alpha in enumerate(ALPHAS, 1):

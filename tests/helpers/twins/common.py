@@ -124,28 +124,12 @@ def cubic_weights(t, slope):
     )
 
 
-def cubic_of(taps, u, v, sharpness, white):
-    """Return codes at (u, v) from the first inner tap of 4×4 `taps`, by row and column, without corners."""
-    slope = WARP.CATMULL_ROM + WARP.SHARPER_SLOPE * sharpness
-    wx, wy = cubic_weights(u, slope), cubic_weights(v, slope)
-    wx = wx * (F(1) / (F(1) - (wx[0] + wx[3]) * (wy[0] + wy[3])))
-    cubic = F(0)
-    for tx in (1, 2, 0, 3):
-        column = wy[1][..., None] * taps[1, tx] + wy[2][..., None] * taps[2, tx]
-        if tx in (1, 2):
-            column = column + (wy[0][..., None] * taps[0, tx] + wy[3][..., None] * taps[3, tx])
-        cubic = cubic + wx[tx][..., None] * column
-    left, right = (taps[1, tx] + taps[2, tx] for tx in (0, 3))
-    above, below = (taps[ty, 1] + taps[ty, 2] for ty in (0, 3))
-    sides = np.stack([left, above, below, right])
-    inner = np.stack([taps[ty, tx] for ty in (1, 2) for tx in (1, 2)])
-    low, high = inner.min(0), inner.max(0)
-    span = WARP.FULL_EDGE - WARP.LEAST_EDGE
-    per_range = F(1 / span) / white
-    goes_on = F(0.5) * np.maximum(np.abs(right - left), np.abs(below - above)) - WARP.GOES_ON * (high - low)
-    edge = np.clip((high - low) * per_range - F(WARP.LEAST_EDGE / span), F(0), F(1))
-    edge = edge * np.clip(goes_on * per_range, F(0), F(1))
-    midway = F(1) - np.abs(F(2) * u - F(1)) * np.abs(F(2) * v - F(1))
-    amount = (WARP.STEEPER * sharpness * midway)[..., None]
-    cubic = cubic - amount * edge * (F(0.25) * (sides.min(0) + sides.max(0)) - cubic)
-    return np.clip(cubic, low, high)
+def doubled(plane):
+    """Return an image interpolated to twice the size, pixel centers on one plane, borders repeated."""
+    height, width = plane.shape
+    y, x = np.mgrid[: 2 * height, : 2 * width]
+    left, top = np.clip((x - 1) >> 1, 0, width - 1), np.clip((y - 1) >> 1, 0, height - 1)
+    right, bottom = np.clip(((x - 1) >> 1) + 1, 0, width - 1), np.clip(((y - 1) >> 1) + 1, 0, height - 1)
+    u, v = np.where(x & 1, F(0.25), F(0.75)), np.where(y & 1, F(0.25), F(0.75))
+    a, b, c, d = plane[top, left], plane[top, right], plane[bottom, left], plane[bottom, right]
+    return (F(1) - u) * (F(1) - v) * a + u * (F(1) - v) * b + (F(1) - u) * v * c + u * v * d

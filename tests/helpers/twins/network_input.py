@@ -1,9 +1,8 @@
-"""Twin of network_input.cl, and of the μ-law."""
+"""Twins of the μ-law and of the median of depth."""
 
 import numpy as np
 
-from twins.common import COLOR_MAX, F, kernel_constants, load_color
-from twins.shading import SHADING
+from twins.common import COLOR_MAX, F, kernel_constants
 
 NETWORK_INPUT = kernel_constants("network_input.cl")
 
@@ -22,12 +21,6 @@ def _parts(x):
 
 def log(x):
     return _log_of_parts(*_parts(x))
-
-
-def _log_of_product(a, b):
-    (mantissa_a, of_a), (mantissa_b, of_b) = _parts(a), _parts(b)
-    mantissa, more = _parts(mantissa_a * mantissa_b)
-    return _log_of_parts(mantissa, of_a + of_b + more)
 
 
 def _log_of_parts(mantissa, exponent):
@@ -68,74 +61,3 @@ def depth_median(depth):
         return F(1)
     rest = 31 - NETWORK_INPUT.ROUNDS
     return np.array([bits[(len(bits) + 1) // 2 - 1] >> rest << rest | 1 << (rest - 1)], np.uint32).view(F)[0]
-
-
-def network_input(frame, previous, mask, exposure, network_size, past, to_previous):
-    """Return (8, h, w) float32 from the GAE `frame`, its pixels' warped previous frame (H, W, 4) and input mask (H, W),
-    and the `past` frame, in which 2×2 pixels of one surface are looked up together."""
-    color, depth = load_color(frame["color"]), frame["depth"]
-    inverse = np.minimum(depth_median(depth) / depth, NETWORK_INPUT.MAX_INVERSE_DEPTH)
-    (height, width), (w, h) = depth.shape, network_size
-    j, i = np.mgrid[:h, :w]
-
-    def taps(image):
-        return [
-            image[np.minimum(2 * j + (tap >> 1), height - 1), np.minimum(2 * i + (tap & 1), width - 1)]
-            for tap in range(4)
-        ]
-
-    def mean(image):
-        a, b, c, d = taps(image)
-        return F(0.25) * ((a + b) + (c + d))
-
-    before = taps(load_color(previous))
-    smooth, seen = quads(frame, [F(1) / z for z in taps(depth)], taps, past, to_previous)
-    smooth &= (2 * i + 2 <= width) & (2 * j + 2 <= height)
-    before = [np.where(smooth[..., None], a, b) for a, b in zip(seen, before, strict=True)]
-    lifted = [[F(1) + F(5000 * exposure / 8) * np.maximum(c, F(0)) for c in image] for image in (taps(color), before)]
-    colors = [_log_of_product(a * c, b * d) * (F(0.25) * F(1 / np.log1p(5000))) for a, b, c, d in lifted]
-    total = np.stack([mean(inverse), mean(mask.astype(F))], -1)
-    return np.moveaxis(np.concatenate([*colors, total], -1), -1, 0)
-
-
-def quads(frame, nearness, taps, past, to_previous):
-    """Return whether 2×2 pixels show one surface that was in the previous image (h, w), and their colors there (4 × (h,
-    w, 3)), with the GAE colors where it is hidden."""
-    height, width = past.depth.shape
-    rows, (source_inverse, target) = to_previous[:3], to_previous[4:6]
-    mean = F(0.25) * ((nearness[0] + nearness[1]) + (nearness[2] + nearness[3]))
-    j, i = np.mgrid[: mean.shape[0], : mean.shape[1]].astype(F)
-    px = np.stack([F(2) * i + F(1), F(2) * j + F(1)], -1)
-    view = np.concatenate([(px - source_inverse[2:]) * source_inverse[:2], np.ones_like(px[..., :1])], -1)
-    moved = view @ rows[:, :3].T.astype(F) + rows[:, 3] * mean[..., None]
-    with np.errstate(all="ignore"):
-        place = target[:2] * moved[..., :2] / moved[..., 2:] + target[2:]
-        z = moved[..., 2] / mean
-        tolerance = SHADING.SAME_SURFACE * z
-        moves = np.stack(taps(frame["dynamic"] > 0))
-        smooth = (moves.all(0) | ~moves.any(0)) & (z > 0)
-        smooth &= np.max(nearness, 0) - np.min(nearness, 0) <= SHADING.SAME_SURFACE * mean
-        now = px + taps(frame["motion"])[0]
-        inside = ((now >= 0) & (now < [width, height])).all(-1)
-        src = np.where(inside[..., None], now, 0).astype(int)
-        mv = past.motion[src[..., 1], src[..., 0]]
-        sideways = np.abs(now + mv - place).sum(-1) * (z / target[0])
-        smooth &= ~moves.all(0) | (inside & np.isfinite(mv).all(-1))
-        tolerance = np.where(moves.all(0), tolerance + SHADING.DEPTH_PER_MOTION * sideways, tolerance)
-        first = np.where(moves.all(0)[..., None], now + mv, place) - F(1)
-        smooth &= ((first >= 0) & (first < [width - 2, height - 2])).all(-1)
-        x0, y0 = np.where(smooth[..., None], first, 0).astype(int).transpose(2, 0, 1)
-        u, v = first[..., 0] - x0, first[..., 1] - y0
-        colors, gae = [], taps(load_color(frame["color"]))
-        for pixel in range(4):
-            total, weights = np.zeros((*z.shape, 3), F), np.zeros(z.shape, F)
-            for tap in range(4):
-                x, y = x0 + (pixel & 1) + (tap & 1), y0 + (pixel >> 1) + (tap >> 1)
-                x, y = np.minimum(x, width - 1), np.minimum(y, height - 1)
-                there = past.depth[y, x]
-                same = np.where(np.isinf(z), np.isinf(there), np.abs(there - z) <= tolerance)
-                weight = same * (u if tap & 1 else F(1) - u) * (v if tap >> 1 else F(1) - v)
-                total += weight[..., None] * load_color(past.color)[y, x]
-                weights += weight
-            colors.append(np.where(weights[..., None] >= SHADING.LEAST_WEIGHT, total / weights[..., None], gae[pixel]))
-    return smooth, [color.astype(F) for color in colors]

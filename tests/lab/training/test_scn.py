@@ -192,7 +192,7 @@ def test_trends_are_what_the_stage_finds():
     expected = twins.find_trend(torch.cat((changes, known), 1)[0].numpy(), spacing_of(height))[:3]
     spread = [torch.repeat_interleave(torch.repeat_interleave(x, 4, -1), 4, -2) for x in (changes, known)]
     found = low_pass(*spread, torch.tensor([float(height)]))
-    expected = np.stack([twins.shading_flow.doubled(plane) for plane in expected])
+    expected = np.stack([twins.doubled(plane) for plane in expected])
     np.testing.assert_allclose(found[0].numpy(), expected, atol=1e-6)
 
 
