@@ -12,7 +12,7 @@ from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import printable
 from gffe_cl.engine.core.validation import QUIETLY, require_array, require_exposure, require_kind, require_list
 from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame, described_arrays, host_arrays
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame, described_arrays, host_arrays, require_consecutive
 
 _FRAMES = 5  # of a sequence, before it is extrapolated
 _TOLD = ("motion-dilated", "repeated-pixels")  # notes that this form names, too
@@ -30,6 +30,7 @@ def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameForma
     describes the arrays where they differ from our conventions. Raises GffeError for anything that is no such frame.
     """
     frames = require_list(frames, RenderedFrame, "check: frames", "a list of RenderedFrame")
+    require_consecutive(frames)
     if format is not None:
         require_kind(format, FrameFormat, "check: format", "a FrameFormat or None")
     if format is not None or any(frame.geometry_size for frame in frames):

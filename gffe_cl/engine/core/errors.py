@@ -6,6 +6,7 @@ import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from importlib.util import find_spec
+from typing import Any
 
 # The address of the repository, for users; empty until it is known, then lines that would name it are left out.
 REPOSITORY = ""
@@ -22,6 +23,13 @@ class GffeError(Exception):
 
     def __init__(self, message: str):
         super().__init__(shortened(printable(_LONG_NUMBER.sub(r"\1…", message))))
+
+
+class Unique:
+    """Base of objects with native memory: a copy of one would release what the original uses."""
+
+    def __reduce_ex__(self, protocol: Any) -> Any:
+        raise GffeError(f"{type(self).__name__}: it cannot be copied or stored (expected another one to be made)")
 
 
 @contextmanager

@@ -220,6 +220,24 @@ def require_one_pose(render: Camera, display: Camera) -> None:
         raise GffeError("frame: display_camera must have the pose of the render camera (expected equal world_to_view)")
 
 
+def require_later(time: float, before: float) -> None:
+    """Raise GffeError unless a frame's `time` is after that of the frame `before`."""
+    if time <= before:
+        raise GffeError(f"frame: time {time:g} s must be after the previous rendered frame's ({before:g} s)")
+
+
+def require_consecutive(frames: list[RenderedFrame]) -> None:
+    """Raise GffeError unless `Pipeline.submit` would take the frames, one after the other, as far as it does not depend
+    on their `FrameFormat`: in order of time, of one size, both cameras of one pose."""
+    for before, frame in zip([None, *frames], frames, strict=False):
+        require_one_pose(frame.camera, frame.shown_camera)
+        shape = require_array(frame.color, "frame: color", None, None, (3, 4)).shape
+        if before and not frame.reset:
+            require_later(frame.time, before.time)
+        if before and shape[:2] != np.shape(before.color)[:2]:
+            raise GffeError(f"frame at {frame.time:g} s: color has shape {shape}, not that of the frame before")
+
+
 def is_shown_whole(camera: Camera, display_camera: Camera) -> bool:
     """Return whether the rendered image is displayed pixel for pixel, if both have one size."""
     return camera.intrinsics == display_camera.intrinsics

@@ -21,7 +21,7 @@ from weakref import WeakValueDictionary
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.core.errors import GffeError, Unique, how_to_install
 from gffe_cl.engine.core.validation import environment_number, require_bool, require_kind, require_whole, scalar, shown
 from gffe_cl.engine.opencl import probing
 from gffe_cl.engine.opencl.probing import (
@@ -112,7 +112,7 @@ _opened: dict[str, Opened] = {}  # by `DeviceInfo.index`
 _adopted: WeakValueDictionary[tuple[int, int], Opened] = WeakValueDictionary()
 
 
-class Device:
+class Device(Unique):
     """An opened OpenCL device: context, in-order queue, capabilities.
 
     Attributes

@@ -16,7 +16,7 @@ from typing import Any
 
 import pyopencl as cl
 
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, Unique
 from gffe_cl.engine.core.validation import require_choice, require_kind, require_list, require_whole, shown
 from gffe_cl.engine.opencl.device import Device, adopted_events
 
@@ -65,7 +65,7 @@ def sharing_support(device: Device) -> SharingSupport:
     return SharingSupport(memory, imported(_SEMAPHORE, _IMPORTED_SEMAPHORES, _SEMAPHORE_TYPES))
 
 
-class MemorySharing:
+class MemorySharing(Unique):
     """Sharing of memory of Vulkan or CUDA, which OpenCL uses in place. `buffer` imports it. Buffers are acquired before
     OpenCL uses them, and released before the other API does. With semaphores (`semaphore`, `wait`, `signal`) no host
     waits between the APIs.
@@ -164,7 +164,7 @@ class MemorySharing:
         return cl.Event.from_int_ptr(made, retain=False)
 
 
-class SharedSemaphore:
+class SharedSemaphore(Unique):
     """A semaphore of another API, made by `MemorySharing.semaphore`."""
 
     def __init__(self, handle: int, release: Callable):

@@ -11,7 +11,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_kind, require_number
 from gffe_cl.engine.frame.camera import FAR_ALPHA, MOST_ALPHA, Camera, interval_of
 from gffe_cl.engine.frame.camera_prediction import POSES, predict_camera_at
-from gffe_cl.engine.frame.rendered_frame import is_shown_whole
+from gffe_cl.engine.frame.rendered_frame import is_shown_whole, require_later
 from gffe_cl.engine.options import MAX_ORDER
 from gffe_cl.engine.stages.base import Board, Rest, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame
@@ -48,8 +48,8 @@ class RenderedFrames:
 
     def require_later(self, time: float) -> None:
         """Raise GffeError unless `time` is after the current frame's."""
-        if self.times and time <= self.times[0]:
-            raise GffeError(f"frame: time {time:g} s must be after the previous rendered frame's ({self.times[0]:g} s)")
+        if self.times:
+            require_later(time, self.times[0])
 
     def take(self, frame: DeviceFrame, is_reset: bool, exposure: float) -> None:
         """Make `frame` the current one, and number it. While the camera moves, history tracking encodes all colors."""

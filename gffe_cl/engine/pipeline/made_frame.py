@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import pyopencl as cl
 
+from gffe_cl.engine.core.errors import Unique
 from gffe_cl.engine.core.validation import require_choice
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.opencl.device import Device, device_faults
@@ -20,7 +21,7 @@ _LIKE = {"gae": "color"}  # buffers with the description of another one
 
 
 @dataclass(frozen=True)
-class MadeFrame:
+class MadeFrame(Unique):
     """Result of the pipeline, on the device: buffers that hold it until the next frame is made.
 
     `camera` in display pixels, `time` in seconds; `color` (half ×4, linear RGB), `depth` (float, world units, +inf sky)

@@ -9,7 +9,7 @@ from typing import Any
 
 import pyopencl as cl
 
-from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.core.errors import GffeError, Unique
 from gffe_cl.engine.core.validation import (
     require_bool,
     require_exposure,
@@ -37,7 +37,7 @@ from gffe_cl.engine.stages.measures import SceneCuts
 from gffe_cl.engine.stages.memory import footprint, require_room
 
 
-class Pipeline:
+class Pipeline(Unique):
     """Extrapolates frames from the rendered frames submitted so far.
 
     Parameters

@@ -3,7 +3,9 @@ values of other kinds in place of one of them, which it must refuse, and any val
 or in a GffeError of one line. What is as good as a right value must be taken: NumPy's numbers, read-only and strided
 arrays."""
 
+import copy
 import inspect
+import pickle
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import timedelta
@@ -384,3 +386,35 @@ def test_misuse_leaves_a_pipeline_that_works(device, tmp_path, monkeypatch):
     right = bits(pipeline)
     check(device_calls(pipeline, next(frames())))
     assert bits(pipeline) == right
+
+
+@pytest.mark.parametrize("double", [copy.copy, copy.deepcopy, pickle.dumps])
+def test_objects_with_native_memory_have_no_copy(device, double):
+    """The end of a copy would destroy the original."""
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+    pipeline.submit(next(frames()))
+    for thing in (device, pipeline, pipeline.extrapolate(), pipeline.present()):
+        with pytest.raises(GffeError, match="cannot be copied"):
+            double(thing)
+    pipeline.submit(replace(next(frames()), time=2.0))
+
+
+def test_check_takes_what_submit_takes(device):
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+    pipeline.submit(FRAME)
+    small = {"color": COLOR[1:], "depth": DEPTH[1:], "motion": MOTION[1:]}
+    for wrong in ({"time": 0.0}, small, {"display_camera": TURNED}, {"motion": None}, {"depth": None}):
+        frame = replace(NEXT, **wrong)
+        for call in (lambda frame=frame: gffe_cl.check([FRAME, frame]), lambda frame=frame: pipeline.submit(frame)):
+            with pytest.raises(GffeError):
+                call()
+
+
+@pytest.mark.device
+def test_far_times_are_warned_of(device):
+    """As of milliseconds, or of another clock; a frame is made nevertheless."""
+    pipeline = Pipeline(device, W, H, Options(shading_correction=False))
+    pipeline.submit(next(frames()))
+    with pytest.warns(UserWarning, match=r"time 10 s is 300 intervals after .* in seconds") as told:
+        pipeline.extrapolate(time=10)
+    assert told[0].filename == __file__
