@@ -48,7 +48,7 @@ nitpick_ignore = [
         "engine.opencl.device.Opened",
         "engine.opencl.sharing.SharedSemaphore",
         "captures.sequence.description.Description",
-        "captures.sequence.pixel_source.Pixels",
+        "captures.sequence.exr.Pixels",
         "engine.stages.buffers.BufferSpec",
         "engine.stages.buffers.Owner",
     )

@@ -50,7 +50,7 @@ def check(
     from gffe_cl.captures.formats import open_capture
 
     opened = open_capture(sequence)
-    diagnosis = examine(opened, opened.exposure, opened.format)
+    diagnosis = examine(opened, opened.exposure)
     title = f"{sequence}: {counted(len(opened.rendered), 'rendered frame')}, {opened.width}×{opened.height}"
     looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
     out.print(plain(title + looked))

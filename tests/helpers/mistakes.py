@@ -123,6 +123,19 @@ def recorded_twice(frames):
     return [replace(f, time=k / 30, reset=k == 0) for k, f in enumerate(made)]
 
 
+def rendered_at_half_the_rate(frames):
+    """Return each frame twice, the second time without motion and with the noise of an encoder."""
+    made = []
+    for f in frames[: len(frames) // 2]:
+        copy = replace(f, motion=np.zeros((*f.depth.shape, 2), np.float32), color=f.color + np.float16(1e-3))
+        made += [f, copy]
+    return [replace(f, time=k / 30, reset=k == 0) for k, f in enumerate(made)]
+
+
+def all_resets(frames):
+    return [replace(f, reset=True) for f in frames]
+
+
 def color_twice(frames):
     return [replace(f, color=frames[k - (k == 3)].color) for k, f in enumerate(frames)]
 
@@ -195,6 +208,10 @@ MISTAKES = {
     "jitter": Mistake(broken_by("motion jitter not removed"), ("jitter",), None),
     "frame dropped": Mistake(GAPS["frame dropped"], ("gap",), None),
     "recorded twice": Mistake(recorded_twice, ("repeated-frames",), None),
+    "at half the rate": Mistake(rendered_at_half_the_rate, ("repeated-frames",), None),
+    "reset in every frame": Mistake(
+        lambda frames: [replace(f, reset=True) for f in frames], ("needless-resets",), None
+    ),
     "color twice": Mistake(color_twice, ("repeated-color",), None),
     "cut": Mistake(cut, ("cut",), None),
     # Notes.
@@ -210,6 +227,15 @@ MISTAKES = {
 
 def sides_swapped(frames):
     return [replace(f, motion=None if f.motion is None else f.motion[..., ::-1]) for f in frames]
+
+
+def bytes_lost(frames):
+    """Return frames whose vectors lack the first byte, so that no number is where it was."""
+
+    def shifted(v):
+        return np.frombuffer(np.float32(v).tobytes()[1:] + bytes(1), np.float32).reshape(v.shape)
+
+    return [replace(f, motion=None if f.motion is None else shifted(f.motion)) for f in frames]
 
 
 def two_views(frames):
@@ -252,4 +278,5 @@ UNEXPLAINED = {
     "origin shifted": origin_shifted,
     "oblique near plane": depth(oblique),
     "x and y swapped": sides_swapped,
+    "lost bytes": bytes_lost,
 }

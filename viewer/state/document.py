@@ -63,7 +63,7 @@ class Doctor:
 def _examined(sequence: Sequence) -> Any:
     from gffe_cl.captures.doctor import examine
 
-    return examine(sequence, sequence.exposure, sequence.format)
+    return examine(sequence, sequence.exposure)
 
 
 class Document:

@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 
 from gffe_cl.captures.doctor.facts import (
+    LEADS_OUT,
     color_rows,
     dilation,
     display_values,
@@ -19,13 +20,16 @@ from gffe_cl.captures.doctor.findings import (
     FAULT,
     UNKNOWN,
     Finding,
+    FormatChange,
     InvalidPixels,
+    NeverWritten,
     NothingBefore,
+    NothingUsable,
     RepeatedFrames,
     StillCamera,
 )
 from gffe_cl.captures.doctor.found_format import FoundFormat
-from gffe_cl.captures.doctor.order import breaks, color_of_another_frame, repeated_frames
+from gffe_cl.captures.doctor.order import breaks, color_of_another_frame, needless_resets, repeated_frames
 from gffe_cl.captures.doctor.readings import GIVEN, Reading
 from gffe_cl.captures.doctor.samples import PREVIOUS, Clip, Look, take_looks
 from gffe_cl.captures.doctor.search import Outcome, Search, Verdict
@@ -64,7 +68,7 @@ class Diagnosis:
     @property
     def verdict(self) -> str:
         """Verdict in one word: "faults", "fits", or "unknown" where nothing was compared."""
-        return "faults" if self.faults else "fits" if self.given is not None else "unknown"
+        return "faults" if self.faults else "fits" if self.given is not None and self.given.fits else "unknown"
 
     def as_json(self) -> dict:
         """Return all results for programs."""
@@ -82,11 +86,11 @@ class Diagnosis:
 
 
 @QUIETLY
-def examine(clip: Clip, exposure: float = 1.0, format: FrameFormat | None = None) -> Diagnosis:
-    """Examine the rendered frames of `clip` and return the diagnosis. `format`: from which they were converted, if from
-    any. Raises GffeError if it has none, or if a file cannot be read."""
+def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
+    """Examine the rendered frames of `clip` and return the diagnosis. Raises GffeError if it has none, or if a file
+    cannot be read."""
     diagnosis = _examine(clip, exposure)
-    declared = format or FrameFormat()
+    declared = clip.format or FrameFormat()
     diagnosis.findings = [one.within(declared) for one in diagnosis.findings]
     diagnosis.findings.sort(key=lambda one: (one.kind != FAULT, one.kind == UNKNOWN))
     changes = [one for one in diagnosis.findings if one.is_a_change]
@@ -100,7 +104,8 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
     count, deep = len(entries), _deep_frames(entries)
     beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
     looks = take_looks(clip, beside | set(_spread(clip)), _SAMPLES, beside, exposure)
-    found = Diagnosis(facts_of_samples(list(looks.values())), frames=len(looks), looks=looks)
+    facts = facts_of_samples(list(looks.values()), clip.format or FrameFormat())
+    found = Diagnosis([*facts, *needless_resets(looks)], frames=len(looks), looks=looks)
     if found.faults:
         return found
     repeated = repeated_frames(looks)
@@ -118,6 +123,12 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
         search = Search(looks, deep, step)
         given = search.verdict(GIVEN)
         step, outcome = (step, Outcome([], GIVEN, given, given)) if given.fits else (0.0, outcome)
+    lost = next((one for one in found.findings if isinstance(one, NeverWritten) and one.is_most), None)
+    if lost:  # its vectors were taken for zero
+        if outcome.reading.motion.camera != "movers_only":
+            return Diagnosis([*found.findings, NothingUsable("motion", 1 - lost.share, LEADS_OUT)], frames=len(looks))
+        found.findings.remove(lost)
+        outcome.findings = [FormatChange("camera_motion", {"camera_motion": "movers_only"} | lost.fields)]
     found.findings += precision(closely, exposure, step)
     found.findings += outcome.findings
     found.given, found.read = outcome.given, outcome.read
@@ -125,7 +136,7 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
         found.findings = _without_depth(found.findings)
     is_read = not any(one.kind == FAULT and not one.is_a_change for one in outcome.findings)
     if is_read:
-        if not outcome.reading.offset[1]:
+        if not outcome.reading.offset[1] and not twice:
             found.findings += color_of_another_frame(search, outcome.read)
         found.findings += breaks(clip, looks, outcome.reading, step, twice, exposure, _SAMPLES)
         found.findings += _unknown(search, outcome.reading)

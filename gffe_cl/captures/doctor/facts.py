@@ -21,10 +21,12 @@ from gffe_cl.captures.doctor.findings import (
 )
 from gffe_cl.captures.doctor.samples import PREVIOUS, Look, encoded
 from gffe_cl.captures.sequence.encoding import nearest_motion
+from gffe_cl.engine.frame.frame_format import FrameFormat, conversion
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.frame.transfer_function import linear_values, to_display
 from gffe_cl.engine.opencl.program import constants
 
+LEADS_OUT = "the others are NaN, or lead out of the image"
 FEWEST = 16  # usable samples in all frames
 _LEAST_DEPTH, _LEAST_MOTION = 0.002, 0.1  # shares of the samples: a picture may show little but sky
 _SHARED, _LEADS_OUT, _TRIED = 0.01, 0.5, 8  # samples with one vector, that lead out; vectors that are looked at
@@ -40,10 +42,10 @@ _CONTRAST, _FLAT, _TELLING, _MIXTURE, _TIGHT = 0.08, 0.15, 0.03, 0.25, 0.06  # o
 _CLEAR, _MIXED, _ENCODED = 50, 0.25, 0.75  # silhouettes, and the shares of mixtures and of those that mix sRGB values
 
 
-def facts_of_samples(looks: list[Look]) -> list[Finding]:
-    """Make vectors that were never written NaN in `looks`, and return findings about these, about invalid pixels, and
-    about buffers with too few usable values."""
-    return [*_invalid(looks), *_set_aside_unwritten(looks), *_too_few_usable(looks)]
+def facts_of_samples(looks: list[Look], format: FrameFormat) -> list[Finding]:
+    """Make vectors that were never written NaN in `looks`, or 0 if they are most, and return findings about these,
+    about invalid pixels, and about buffers with too few usable values. `format`: that the looks were converted from."""
+    return [*_invalid(looks), *_set_aside_unwritten(looks, format), *_too_few_usable(looks)]
 
 
 def _invalid(looks: list[Look]) -> list[Finding]:
@@ -57,7 +59,7 @@ def _invalid(looks: list[Look]) -> list[Finding]:
     return [InvalidPixels(total, first)] if total else []
 
 
-def _set_aside_unwritten(looks: list[Look]) -> list[Finding]:
+def _set_aside_unwritten(looks: list[Look], format: FrameFormat) -> list[Finding]:
     """Set vectors aside that were never written, and return findings of them: as long as the diagonal of the image, or
     shared by many samples and leading out of it. Vectors of resets lead nowhere and are left alone."""
     looks = [look for look in looks if look.motion is not None and not look.reset]
@@ -78,14 +80,24 @@ def _set_aside_unwritten(looks: list[Look]) -> list[Finding]:
             shared = same
             break
     unwritten, at = long | shared, 0
-    for look in looks:
-        _vectors(look)[unwritten[at : at + len(look.px)]] = np.nan
-        at += len(look.px)
     share = float(np.mean(shared)) + float(np.mean([look.bad.long / np.prod(look.size) for look in looks]))
-    if not share:
-        return []
-    found = np.unique(vectors[unwritten])
-    return [NeverWritten(share, float(found[0]) if len(found) == 1 else None)]
+    made = NeverWritten(min(share, 1.0), _stored_value(vectors[unwritten], looks[0].size, format))
+    for look in looks:
+        _vectors(look)[unwritten[at : at + len(look.px)]] = 0.0 if made.is_most else np.nan
+        at += len(look.px)
+    return [made] if share else []
+
+
+def _stored_value(vectors: np.ndarray, size: tuple[int, int], format: FrameFormat) -> float | None:
+    """Return the number that both components of all `vectors` (N, 2), in pixels, have in `format`; None if they
+    differ."""
+    types = {"color": None, "depth": "float32", "motion": "float32"}
+    *factors, x, y = conversion(format, size, types, {"color": 3, "motion": 2})["given_motion"]
+    exact = (factors, x, y) == ([1.0, 1.0], 0.0, 0.0)
+    values = np.unique((vectors - (x, y)) / factors)
+    if not len(values) or np.ptp(values) > (0 if exact else 1e-5 * (1 + abs(values[0]))):
+        return None
+    return float(values[0]) if exact else float(f"{values[0]:.5g}") if abs(values[0]) > 1e-5 else 0.0
 
 
 def _vectors(look: Look) -> np.ndarray:
@@ -123,7 +135,7 @@ def _why(looks: list[Look], buffer: str) -> str:
     if buffer == "color":
         return "all are NaN or infinite"
     if buffer == "motion":
-        return "the others are NaN, or lead out of the image"
+        return LEADS_OUT
     depth = np.concatenate([look.depth for look in looks])
     kinds = {"NaN": np.isnan(depth), "zero": depth == 0, "sky": ~np.isnan(depth) & ~(np.abs(depth) < 1e9)}
     shares = {name: float(where.mean()) for name, where in kinds.items() if where.any()}

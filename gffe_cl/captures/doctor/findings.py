@@ -152,9 +152,10 @@ class NeverWritten(Finding):
     def fields(self) -> dict[str, Any]:
         return {} if self.value is None else {"motion_invalid": self.value}
 
-    def within(self, declared: FrameFormat) -> Finding:
-        plain = replace(declared, color_size=None, geometry_size=None, motion_type="float32") == FrameFormat()
-        return self if plain else replace(self, value=None)
+    @property
+    def is_most(self) -> bool:
+        """Whether they are most vectors: the file may hold those of movers only."""
+        return self.share > 0.5 and self.value is not None
 
     def words(self) -> str:
         what = f"; {_shown(self.fields)}" if self.fields else ""
@@ -443,13 +444,26 @@ class OffInOneFrame(AtFrame):
 
 @dataclass(frozen=True)
 class RepeatedFrames(Finding):
-    """Frames that equal the frame before to the bit, although vectors move."""
+    """Frames with depth, camera and picture of the frame before, between frames in which the camera moves."""
 
     name = "repeated-frames"
     frames: tuple[int, ...]
 
     def words(self) -> str:
-        return f"{frames_in_words(self.frames, 'is', 'are')} the frame before, to the bit, although vectors move"
+        repeat = frames_in_words(self.frames, "repeats", "repeat")
+        return f"{repeat} the frame before: recorded more often than rendered (expected each frame once)"
+
+
+@dataclass(frozen=True)
+class NeedlessResets(Finding):
+    """Resets although vectors, or depth and cameras, lead to the frame before."""
+
+    name = "needless-resets"
+    frames: tuple[int, ...]
+
+    def words(self) -> str:
+        resets = frames_in_words(self.frames, "is a reset", "are resets")
+        return f"{resets}, although they follow the frame before (expected reset only at cuts)"
 
 
 @dataclass(frozen=True)
@@ -494,12 +508,12 @@ class StillCamera(Finding):
 class MisfitAtEnd(AtFrame):
     """The first or last pair of frames does not fit: a gap, or buffers of another frame in a steady movement."""
 
-    name, kind = "misfit-at-end", UNKNOWN
+    name = "misfit-at-end"
 
     def words(self) -> str:
         return (
-            f"why frame {self.frame} ({self.file}) does not follow the frame before: a frame may be missing, or"
-            " vectors or cameras are of another frame"
+            f"frame {self.frame} ({self.file}) does not follow the frame before, and nothing tells whether a frame is"
+            " missing, or vectors or cameras are of another frame"
         )
 
 

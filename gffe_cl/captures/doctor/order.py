@@ -12,13 +12,14 @@ from gffe_cl.captures.doctor.findings import (
     Finding,
     Gap,
     MisfitAtEnd,
+    NeedlessResets,
     OffInOneFrame,
     OtherFrame,
     RepeatedColors,
     RepeatedFrames,
 )
-from gffe_cl.captures.doctor.readings import Reading
-from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Clip, Look, of_other_frames, take_looks, turned
+from gffe_cl.captures.doctor.readings import GIVEN, Reading
+from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Clip, Look, of_other_frames, relinked, take_looks, turned
 from gffe_cl.captures.doctor.search import Search, Verdict
 
 _MOVES = 0.3  # pixels: vectors by which nothing stays as it is
@@ -26,25 +27,60 @@ _TEXTURED, _COLORS = 0.1, 16  # share of samples that show a texture, and distin
 _FITTING, _LEAST = 0.5, 0.3  # share of samples that agree: of that in right pairs; in right pairs, at least
 _AGREES, _FINEST = 0.1, 0.3  # of the motion's length, and pixels: residuals that agree
 _SAME_SHOT = 0.7  # of the usual color scores
+_COPIES, _NOISE = 3, 0.02  # copies of a frame in a row, at most; of encoded colors
 _MOST = 12  # pairs that are looked at closely
 _GAIN, _EACH, _GOOD = 0.06, 0.6, 1.2  # sums of color scores: gain by colors of another frame; frames; good ones
 
 
 def repeated_frames(looks: dict[int, Look]) -> list[Finding]:
-    """Return the frames of `looks` that repeat the one before, as far as samples and cameras tell."""
-    whole, color = [], []
+    """Return the frames of `looks` that repeat the one before, as far as samples and cameras tell: up to `_COPIES` in a
+    row with its depth, camera and picture, but for noise, before and after which the camera moves."""
+    copies, whole, color = {k for k, look in looks.items() if _is_copy(look)}, [], []
+    runs: list[list[int]] = []
+    for k in sorted(copies):
+        runs[-1].append(k) if runs and runs[-1][-1] == k - 1 else runs.append([k])
+    inner = [run for run in runs if NEXT in looks[run[-1]].neighbors and PREVIOUS in looks[run[0] - 1].neighbors]
+    if any(len(run) <= _COPIES for run in inner):  # else the camera rests at first or at last
+        whole = [k for run in runs if len(run) <= _COPIES for k in run]
     for index, look in looks.items():
         before = look.neighbors.get(PREVIOUS)
-        if before is None or look.motion is None or not np.array_equal(look.color, before.color):
+        if before is None or index in copies or look.motion is None or not np.array_equal(look.color, before.color):
             continue
         shows = look.textured.mean() > _TEXTURED and len(np.unique(look.color, axis=0)) > _COLORS
-        if not shows or not np.nanmedian(np.linalg.norm(look.motion, axis=-1)) > _MOVES:
-            continue
-        pairs = (look.depth, before.depth), (look.motion, before.motion)
-        same = all(b is not None and np.array_equal(a, b, equal_nan=True) for a, b in pairs)
-        (whole if same and look.camera == before.camera else color).append(index)
+        if shows and np.nanmedian(np.linalg.norm(look.motion, axis=-1)) > _MOVES:
+            color.append(index)
     made: list[Finding] = [RepeatedFrames(tuple(whole))] if whole else []
     return made + ([RepeatedColors(tuple(color))] if color and color not in ([1], [max(looks)]) else [])
+
+
+def _is_copy(look: Look) -> bool:
+    """Return whether a frame has depth and camera of the one before, and its picture but for noise."""
+    before = look.neighbors.get(PREVIOUS)
+    if before is None or look.camera != before.camera or not np.array_equal(look.depth, before.depth, equal_nan=True):
+        return False
+    return float(np.median(np.abs(look.color - before.color))) < _NOISE
+
+
+def needless_resets(looks: dict[int, Look]) -> list[Finding]:
+    """Return a fault if more than half of the frames are resets although vectors, or depth and cameras, lead to the
+    frame before and the picture moves."""
+    found = []
+    for k, look in looks.items():
+        before = looks.get(k - 1)
+        if before is None or not look.reset or look.size != before.size:
+            continue
+        pair = relinked({0: replace(before, index=0, neighbors={}), 1: replace(look, reset=False, neighbors={})})
+        bench = Bench([pair[1]])
+        static = bench.static(GIVEN.cameras, GIVEN.depth)
+        moves = np.nanmedian(np.linalg.norm(static, axis=-1)[bench.solid]) > _MOVES if bench.solid.any() else False
+        if look.motion is not None:
+            fits = _share(pair[1], GIVEN, 0.0) > _FITTING
+        else:
+            along, still = (bench.color_scores(one, PREVIOUS) for one in (static, np.zeros_like(static)))
+            fits = np.nanmean(along) > np.nanmean(still) + _GAIN if np.isfinite(along).any() else False
+        if moves and fits:
+            found.append(k)
+    return [NeedlessResets(tuple(found))] if len(found) > len(looks) / 2 else []
 
 
 def color_of_another_frame(search: Search, read: Verdict) -> list[Finding]:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import replace
 
 from gffe_cl.captures.doctor.diagnose import Diagnosis, examine
-from gffe_cl.captures.doctor.findings import NOTE, UNKNOWN, MisfitAtEnd
+from gffe_cl.captures.doctor.findings import NOTE, UNKNOWN
 from gffe_cl.captures.doctor.samples import Clip
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.engine_form import described_frame
@@ -33,12 +33,13 @@ def check(frames: list[RenderedFrame], exposure: float = 1.0, format: FrameForma
     require_consecutive(frames)
     if format is not None:
         require_kind(format, FrameFormat, "check: format", "a FrameFormat or None")
+    given = frames
     if format is not None or any(frame.geometry_size for frame in frames):
         frames = _converted(frames, format or FrameFormat())
     exposure = require_exposure(exposure)
     if not frames:
         return None
-    diagnosis = examine(_InMemory(frames), exposure, format)
+    diagnosis = examine(_InMemory(frames, given, format), exposure)
     if warning := warning_of(diagnosis):
         return f"{warning}; `gffe check FOLDER` tells more, of frames stored with gffe.SequenceWriter"
     return None
@@ -61,15 +62,23 @@ def _converted(frames: list[RenderedFrame], format: FrameFormat) -> list[Rendere
 
 
 class _InMemory:
-    """Clip of frames in memory."""
+    """Clip of frames in memory, converted from those that were `given`."""
 
-    def __init__(self, frames: list[RenderedFrame]):
+    def __init__(self, frames: list[RenderedFrame], given: list[RenderedFrame], format: FrameFormat | None):
         for frame in frames:
             host_arrays(frame)
-        self._frames = {f"frame {k}": frame for k, frame in enumerate(frames)}
+        self._frames, self.format = {f"frame {k}": frame for k, frame in enumerate(frames)}, format
         self.rendered = [
-            FrameEntry(name, frame.time, "rendered", frame.reset, None, frame.camera, frame.display_camera)
-            for name, frame in self._frames.items()
+            FrameEntry(
+                name,
+                frame.time,
+                reset=frame.reset,
+                render_camera=frame.camera,
+                display_camera=frame.display_camera,
+                geometry_jitter=frame.geometry_jitter,
+                geometry_size=frame.geometry_size,
+            )
+            for name, frame in zip(self._frames, given, strict=True)
         ]
 
     def read(self, entry: FrameEntry) -> RenderedFrame:
@@ -80,7 +89,7 @@ class _First:
     """The first frames of `clip`."""
 
     def __init__(self, clip: Clip):
-        self.rendered, self.read = clip.rendered[:_FRAMES], clip.read
+        self.rendered, self.read, self.format = clip.rendered[:_FRAMES], clip.read, clip.format
 
 
 def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
@@ -88,7 +97,7 @@ def quick_warning(clip: Clip, exposure: float = 1.0) -> str | None:
     names them, or the first of some of its notes. Raises GffeError if a frame cannot be read."""
     if not clip.rendered:
         return None
-    diagnosis = examine(_First(clip), exposure, getattr(clip, "format", None))
+    diagnosis = examine(_First(clip), exposure)
     return warning_of(diagnosis) if diagnosis.given is not None or diagnosis.faults else None
 
 
@@ -102,6 +111,6 @@ def warning_of(diagnosis: Diagnosis) -> str | None:
     if told:
         return str(told[0])
     doubts = [one for one in diagnosis.findings if one.kind == UNKNOWN]
-    if diagnosis.given is None or any(isinstance(one, MisfitAtEnd) for one in doubts):
+    if diagnosis.given is None:
         return f"cannot tell whether the frames fit: {doubts[0].words()}" if doubts else None
     return None

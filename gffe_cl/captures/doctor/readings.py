@@ -47,7 +47,8 @@ class Motion:
             return None
         sides = {"pixels": (1.0, 1.0), "uv": look.size, "ndc": np.divide(look.size, 2)}[self.unit]
         sign = DIRECTIONS[self.direction] * self.scale
-        return look.motion * (np.multiply(sides, sign) * (1, -1 if self.y == "up" else 1))
+        factors = np.multiply(sides, sign) * (1, -1 if self.y == "up" else 1)
+        return (look.motion - look.added) * factors + look.added
 
     def findings(self) -> list[Finding]:
         made: list[Finding] = []

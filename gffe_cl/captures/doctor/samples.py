@@ -13,6 +13,7 @@ from gffe_cl.captures.sequence.reader import read_ahead
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import QUIETLY
 from gffe_cl.engine.frame.camera import Camera
+from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, wrong_geometry
 
 PREVIOUS, NEXT = -1, 1
@@ -23,7 +24,10 @@ _FIELDS = {"color": ("color", "contrast", "image"), "depth": ("depth", "deep")}
 
 
 class Clip(Protocol):
-    """Examined frames: a `Sequence`, or any object with its rendered frames."""
+    """Examined frames: a `Sequence`, or any object with its rendered frames, and the format that they were converted
+    from, if any."""
+
+    format: FrameFormat | None
 
     @property
     def rendered(self) -> list[FrameEntry]: ...
@@ -47,6 +51,7 @@ class Look:
     contrast : (N,) float32, how far the encoded color is from that of the pixels around
     image, deep : (H, W, 3) float, linear color of the whole frame as stored, and (H, W) its depth; None where they
         are not needed
+    added : (2,) float64, the difference of jitter in motion, pixels, that the conversion from a format added
     neighbors : {PREVIOUS, NEXT → Look}, as far as there are any without a reset in between
     """
 
@@ -65,6 +70,7 @@ class Look:
     bad: BadPixels
     first_bad: dict[str, tuple[int, int]] = field(default_factory=dict)
     exposure: float = 1.0
+    added: np.ndarray = field(default_factory=lambda: np.zeros(2))
     neighbors: dict[int, Look] = field(default_factory=dict, repr=False)
 
     @property
@@ -92,12 +98,20 @@ def take_looks(
 
     @QUIETLY  # on threads of its own
     def look(index: int) -> Look:
-        return _look(clip.read(entries[index]), index, entries[index], samples, index in images, exposure)
+        made = _look(clip.read(entries[index]), index, entries[index], samples, index in images, exposure)
+        if clip.format and clip.format.motion_jittered and index and not made.reset:
+            here, before = (_jitter(entries[k], made.size, clip.format) for k in (index, index - 1))
+            made.added = np.subtract(here, before)
+        return made
 
     looks = dict(read_ahead(sorted(set(indices)), look, 2))
     if not looks:
         raise GffeError("nothing to check: no rendered frame")
     return relinked(looks)
+
+
+def _jitter(entry: FrameEntry, size: tuple[int, int], format: FrameFormat) -> tuple[float, float]:
+    return jitter_in_color(entry.geometry_jitter, size, entry.geometry_size or format.geometry_size or size)
 
 
 def relinked(looks: dict[int, Look]) -> dict[int, Look]:
@@ -128,6 +142,8 @@ def of_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, L
         other = look.neighbors.get(by)
         if other is not None and len(other.px) == len(look.px):
             made[k] = replace(look, neighbors={}, **{n: getattr(other, n) for n in _FIELDS.get(buffer, (buffer,))})
+            if buffer == "motion" and other.motion is not None:
+                made[k].motion = other.motion - other.added + look.added
     return relinked(made)
 
 

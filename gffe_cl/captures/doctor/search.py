@@ -32,6 +32,7 @@ _MARGIN, _ALIKE = 0.1, 0.04  # of agreements: least gain of a change, and differ
 _WORSE_COLORS, _SAME_COLORS = 0.05, 0.015  # of color scores
 _SAME_UNIT = 0.02  # units of depth that differ by less are one
 _NEAR, _CLOSE, _LEAST = (0.1, 0.3), (0.05, 0.1), 0.4  # of motion, and pixels: residuals that agree; share of samples
+_SOUND = 0.7  # share of samples that agree in any sound capture, and so after a repair
 _BETTER = 0.8  # of a frame's residual as given
 _RANGES, _FEWEST, _OFF, _MOST_OFF = (
     8,
@@ -46,6 +47,7 @@ _HALF, _OTHER_HALF = 0.2, 0.55  # share of samples that agree in one half of the
 _MOST_WITH_ROWS = 2  # changes, if rows are one of them: a mirror image always fits as well
 _JITTER, _MOST_JITTER, _ALTERNATES = 0.08, 1.6, 0.8  # pixels; and of the mean offset of a frame: of all together
 _VISIBLE, _SEEN, _NOTHING, _MOVER = 0.3, 0.2, 2e-3, 0.05  # pixels; share; of the longest vectors
+_TINY, _GARBAGE = 1e-7, 0.05  # pixels, not 0, as of numbers that are no vectors; share of the samples
 _GAIN = 0.012  # of color scores, where they are the only evidence
 _FOCALS, _LAST_STEP, _SAME_FOCAL, _SHARP = (
     np.geomspace(0.5, 2, 29),
@@ -195,6 +197,8 @@ class Search:
         if not rivals:
             return Outcome([] if given.fits else [_unexplained(given)], GIVEN, given, given)
         best, others = self._best(rivals)
+        if best.share < _SOUND:
+            return Outcome([_unexplained(given)], GIVEN, given, given)
         if not others:
             return Outcome(best.reading.findings(self.stored), best.reading, given, best)
         causes = tuple(_words(one.reading.findings(self.stored)) for one in (best, *others))
@@ -347,6 +351,8 @@ class Search:
         length = np.linalg.norm(motion, axis=-1)
         solid = bench.solid & np.isfinite(length)
         if not solid.any():
+            return None
+        if np.mean((length > 0) & (length < _TINY), where=solid) > _GARBAGE:
             return None
         largest = float(np.quantile(length[solid], 0.999))
         seen = solid & (np.linalg.norm(np.nan_to_num(static), axis=-1) > max(_VISIBLE, 2 * self._step))

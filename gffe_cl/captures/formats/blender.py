@@ -17,11 +17,18 @@ from gffe_cl.captures.formats.capture import (
     mark_gaps,
     owner,
     read_json,
-    shown_part,
     through_window,
 )
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
-from gffe_cl.captures.sequence.exr import COLOR, ForeignPixels, decoded, require_parts, stack_color
+from gffe_cl.captures.sequence.exr import (
+    COLOR,
+    ForeignPixels,
+    decoded,
+    placed,
+    require_parts,
+    require_shown,
+    stack_color,
+)
 from gffe_cl.captures.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
@@ -93,11 +100,9 @@ class BlenderPixels(ForeignPixels):
         path = self._folder / entry.place
         header = read_header(path, entry.file)
         places = _passes(header, entry).color
-        image = np.stack(decoded(path, header, places, entry.file), -1)
-        image = shown_part(image, header.parts[places[0][0]], entry.file)
-        if image.shape[1::-1] != tuple(size):
-            raise GffeError(f"{entry.file}: {image.shape[1]}×{image.shape[0]} pixels, expected {size[0]}×{size[1]}")
-        return image
+        part = header.parts[places[0][0]]
+        require_shown(header, {places[0][0]}, size, entry.file)
+        return np.stack([placed(one, part, 0.0) for one in decoded(path, header, places, entry.file)], -1)
 
     def _read(self, entry: FrameEntry, size):
         """Return R, G, B and depth, and X and Y if there are vectors."""

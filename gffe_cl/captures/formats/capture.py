@@ -135,15 +135,6 @@ def through_window(entry: FrameEntry, part: ExrPart, size: tuple[int, int], labe
         entry.render_camera = replace(camera, cx=camera.cx - left, cy=camera.cy - top)
 
 
-def shown_part(image: np.ndarray, part: ExrPart, label: str) -> np.ndarray:
-    """Return the part of an image (H, W, …), stored in the data window of `part`, in its display window. Raises
-    GffeError if some of that was not stored."""
-    (width, height), (left, top) = part.shown_size, (-n for n in part.offset)
-    if left < 0 or top < 0 or left + width > part.size[0] or top + height > part.size[1]:
-        raise GffeError(f"{label}: the data window is smaller than the display window (expected all that is shown)")
-    return image[top : top + height, left : left + width]
-
-
 def _fps(frames: list[FrameEntry]) -> float:
     steps = np.diff([entry.time for entry in frames])
     return round(float(1 / np.median(steps)), 6) if len(steps) else 30.0

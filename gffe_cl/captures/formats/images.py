@@ -8,7 +8,7 @@ import math
 import struct
 from collections.abc import Sequence as Ordered
 from pathlib import Path
-from typing import IO, Any
+from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -19,10 +19,10 @@ from gffe_cl.captures.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import open_regular, require_moderate
 
+_MOST_HEADER = 1 << 16
 _EXR_MAGIC, _NPY_MAGIC, _PNG_MAGIC = b"\x76\x2f\x31\x01", b"\x93NUMPY", b"\x89PNG\r\n\x1a\n"
 _PNG_HEADER, _PNG_CHANNELS = 26, {0: "Y", 2: "RGB", 3: "RGBA", 4: "YA", 6: "RGBA"}
 _RGBA = {"R": 0, "G": 1, "B": 2, "A": 3}
-_MOST_HEADER = 1 << 16
 
 
 def read_planes(path: Path, names: Ordered[str], label: str, size: Size, outside: float = 0.0) -> np.ndarray:
@@ -134,51 +134,29 @@ def _by_opencv(data: bytes, held: str, bits: int) -> np.ndarray:
 
 
 def _npy(path, names, label, size, decode):
+    """Return channels of the array in an NPY file, which is mapped: no more is read than they need."""
     with open_regular(path) as file:
-        return _array(file, names, label, size, decode)
-
-
-def _array(file: IO[bytes], names, label, size, decode):
-    """Return the array of an NPY stream; no more is read than the pixels of an image of `size`."""
-    shape, fortran, dtype = _array_header(file, label)
-    if len(shape) not in (2, 3) or dtype.kind not in "fiub" or dtype.itemsize > 8:
-        raise GffeError(f"{label}: an array of {dtype} and shape {shape} (expected numbers, (H, W) or (H, W, C))")
-    _require_size((shape[1], shape[0]), size, label)
-    channels = shape[2] if len(shape) == 3 else 1
+        start = file.read(12)
+    length = int.from_bytes(start[8 : 10 if start[6:7] == b"\1" else 12], "little")
+    if length > _MOST_HEADER:  # NumPy would make room for it
+        raise GffeError(f"{label}: damaged NPY file (a header of {length} bytes)")
+    try:
+        array = np.load(path, mmap_mode="r", allow_pickle=False)
+    except OSError:
+        raise
+    except Exception as error:  # NumPy parses its header as Python
+        raise GffeError(f"{label}: damaged NPY file ({' '.join(str(error).split())[:200]})") from None
+    if array.ndim not in (2, 3) or array.dtype.kind not in "fiub" or array.dtype.itemsize > 8:
+        kind = f"an array of {array.dtype} and shape {array.shape}"
+        raise GffeError(f"{label}: {kind} (expected numbers, (H, W) or (H, W, C))")
+    _require_size((array.shape[1], array.shape[0]), size, label)
+    channels = array.shape[2] if array.ndim == 3 else 1
     order = [_index(name, channels, label) for name in names]
-    nbytes = math.prod(shape) * dtype.itemsize
-    require_moderate(nbytes, math.prod(size), label)
+    require_moderate(array.nbytes, math.prod(size), label)
     if not decode:
         return None
-    data = bytearray()
-    while len(data) < nbytes and (piece := file.read(nbytes - len(data))):
-        data += piece
-    if len(data) < nbytes:
-        raise GffeError(f"{label}: truncated, {len(data)} of {nbytes} bytes")
-    array = np.frombuffer(bytes(data), dtype).reshape(shape, order="F" if fortran else "C")
-    array = array.astype(dtype.newbyteorder("="), copy=False).reshape(size[1], size[0], channels)
-    return array[..., order]
-
-
-def _array_header(file: IO[bytes], label) -> tuple[tuple[int, ...], bool, np.dtype]:
-    try:
-        version = np.lib.format.read_magic(file)
-        if version not in ((1, 0), (2, 0)):
-            raise ValueError(f"version {version[0]}.{version[1]}")
-        first = version == (1, 0)
-        read = np.lib.format.read_array_header_1_0 if first else np.lib.format.read_array_header_2_0
-        length = file.read(2 if first else 4)
-        if int.from_bytes(length, "little") > _MOST_HEADER:
-            raise ValueError(f"{int.from_bytes(length, 'little')} bytes")
-        shape, fortran, dtype = read(io.BytesIO(length + file.read(int.from_bytes(length, "little"))))
-        if min(shape, default=0) < 0 or not all(isinstance(n, int) for n in shape):
-            raise ValueError(f"shape {shape}")
-    except GffeError:
-        raise
-    except Exception as error:  # NumPy parses it as Python
-        reason = " ".join(str(error).split())[:200]
-        raise GffeError(f"{label}: damaged NPY header ({reason})") from None
-    return shape, fortran, dtype
+    found = np.asarray(array).reshape(size[1], size[0], channels)[..., order]
+    return found.astype(found.dtype.newbyteorder("="), copy=False)
 
 
 def _index(name: str, channels: int, label) -> int:

@@ -19,13 +19,12 @@ from gffe_cl.captures.formats.capture import (
     layers_of,
     missing_numbers,
     number_of,
-    shown_part,
     through_window,
     visible_files,
 )
 from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.captures.sequence.engine_form import static_motion
-from gffe_cl.captures.sequence.exr import ForeignPixels, decoded, require_parts
+from gffe_cl.captures.sequence.exr import ForeignPixels, decoded, placed, require_parts
 from gffe_cl.captures.sequence.exr_header import ExrHeader, ExrPart, read_header
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError, within
@@ -103,7 +102,8 @@ class UnrealPixels(ForeignPixels):
 
     def color(self, entry, size):
         color, _, _, header = self._raw(entry, size)
-        return shown_part(color, header.parts[_places(header, entry.file)[0][0]], entry.file)
+        part = header.parts[_places(header, entry.file)[0][0]]
+        return np.stack([placed(one, part, 0.0) for one in np.moveaxis(color, -1, 0)], -1)
 
     def settle(self, entries: list[FrameEntry], size: tuple[int, int]) -> None:
         """Determine the meaning of the numbers from the first frames in which the camera moves."""

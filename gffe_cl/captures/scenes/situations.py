@@ -1,6 +1,7 @@
 """Situations: small built-in scenes, each with one difficulty for frame extrapolation and little else. They are in two
 places, a yard in the sun and a hall under lamps, both still: the camera stands at positive z, the back wall at
 `BACK`."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
@@ -8,35 +9,10 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import animal, walker
-from gffe_cl.captures.scenes.furniture import (
-    IRON,
-    STEEL,
-    bark_material,
-    bench,
-    bookcase,
-    conifer,
-    leaf_material,
-    railing,
-    spotlight,
-)
-from gffe_cl.captures.scenes.motions import Bounce, Held, Motion, Path, Place, Roll, Slide, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-    wave,
-)
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 BACK, HALF_WIDTH, HEIGHT = -5.5, 4.5, 3.4  # meters; width and height of the hall
 

@@ -70,6 +70,8 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
             if len(parts) != len(header.parts):
                 raise ValueError("corrupt pixel data")
             return [parts[part][name].pixels for part, name in places]
+    except UnicodeDecodeError:
+        raise GffeError(f"{label}: its header has text that is not UTF-8 (expected names of channels in it)") from None
     except Exception as error:
         raise GffeError(f"{label}: damaged, the pixels cannot be decoded ({_one_line(error)})") from None
 

@@ -11,6 +11,7 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,7 +27,7 @@ from gffe_cl.captures.sequence.description import (
     parse_description,
     require_one_size,
 )
-from gffe_cl.captures.sequence.exr import GEOMETRY, OVERLAY_CHANNELS
+from gffe_cl.captures.sequence.exr import GEOMETRY, OVERLAY_CHANNELS, RENDERED
 from gffe_cl.captures.sequence.exr_header import camera_attributes
 from gffe_cl.captures.sequence.output_folder import GENERATOR, OutputFolder
 from gffe_cl.captures.sequence.reader import usable_cores
@@ -42,8 +43,8 @@ from gffe_cl.engine.core.validation import (
     require_size,
     require_whole,
 )
-from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
-from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame
+from gffe_cl.engine.frame.frame_format import DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat, require_render_size
+from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame, type_of
 
 _WAITING = 2  # frames, besides those that are being compressed
 _MOST_THREADS = 1024
@@ -132,9 +133,10 @@ class SequenceWriter:
         """Write the frame `entry` from `channels`: channel name → (H, W) array, copied before the call returns. With
         `owned` the writer takes over the dict and its arrays, copies them later, and empties the dict.
 
-        Half stays half, masks of bool and uint8 become half, `Z` and `motion.*` become float32. (H, W) is the entry's
-        render size, else the display size; of these two in rendered frames, the entry's geometry size, else that of the
-        `format`. Raises GffeError for another shape or type, and entries that could not be read again.
+        R, G, B, `Z` and `motion.*` are floats, as of frames for a pipeline. Half stays half, masks of bool and uint8
+        become half, `Z` and `motion.*` become float32. (H, W) is the entry's render size, else the display size; of
+        these two in rendered frames, the entry's geometry size, else that of the `format`. Raises GffeError for another
+        shape or type, and entries that could not be read again.
         """
         entry, owned = checked_entry(entry), require_bool(owned, "writer: owned")
         require_kind(channels, dict, "writer: channels", "a dict of arrays by their names")
@@ -151,7 +153,8 @@ class SequenceWriter:
         padded: dict[str, np.ndarray] = {}
         for name, array in channels.items():
             side, rows = geometry if name in GEOMETRY else (width, height)
-            array = require_array(array, f"{entry.file}: channel '{name}'", rows, side, kinds="biuf")
+            kinds = "f" if name in RENDERED else "biuf"
+            array = require_array(array, f"{entry.file}: channel '{name}'", rows, side, kinds=kinds)
             if (side, rows) != (width, height):
                 padded[name] = np.pad(array, ((0, height - rows), (0, width - side)))
         if owned:
@@ -169,14 +172,16 @@ class SequenceWriter:
 
     def add_frame(self, entry: FrameEntry, frame: RenderedFrame) -> None:
         """Write the rendered frame `frame`, of arrays, with its overlays. Size and jitter of its geometry replace those
-        of `entry`; integer colors are from 0 to 1. Raises GffeError as `add` does."""
+        of `entry`; integer colors are from 0 to 1, and so are depth and motion as the `format` describes them. Raises
+        GffeError as `add` does."""
         require_kind(entry, FrameEntry, "entry")
         require_kind(frame, RenderedFrame, "frame")
         entry = replace(entry, geometry_size=frame.geometry_size, geometry_jitter=frame.geometry_jitter)
-        color = np.asarray(frame.color)
-        if color.dtype in (np.uint8, np.uint16):  # as a `FrameFormat` describes them
-            color = (color / np.float64(np.iinfo(color.dtype).max)).astype(np.float32)
-        self.add(entry, named_channels(color, frame.depth, frame.motion, frame.overlays))
+        color, depth, motion = _as_floats(frame.color, ("unorm8", "unorm16")), frame.depth, frame.motion
+        if self._description.format:
+            depth = _as_floats(depth, DEPTH_TYPES)
+            motion = None if motion is None else _as_floats(motion, MOTION_TYPES)
+        self.add(entry, named_channels(color, depth, motion, frame.overlays))
 
     def link(self, entry: FrameEntry, source_path: str | os.PathLike[str]) -> None:
         """Add the existing EXR file `source_path` as the frame `entry`: a hard link, or else a copy."""
@@ -309,14 +314,15 @@ def named_channels(
     overlays: Overlays | None = None,
 ) -> dict[str, np.ndarray]:
     """Return the channels for `SequenceWriter.add` from color (H, W, 3 or 4), depth (H, W), motion (H, W, 2), these two
-    perhaps smaller than color, and overlays. Raises GffeError for other shapes."""
-    color = require_array(color, "color", None, None, (3, 4))
+    perhaps smaller than color, and overlays. Color, depth and motion are floats. Raises GffeError for other shapes and
+    types."""
+    color = require_array(color, "color", None, None, (3, 4), kinds="f")
     channels = dict(zip("RGB", np.moveaxis(color[..., :3], -1, 0), strict=True))
     if depth is not None:
-        channels["Z"] = require_array(depth, "depth", None, None)
+        channels["Z"] = require_array(depth, "depth", None, None, kinds="f")
     if motion is not None:
         channels["motion.x"], channels["motion.y"] = np.moveaxis(
-            require_array(motion, "motion", *np.shape(color[..., 0] if depth is None else depth), 2), -1, 0
+            require_array(motion, "motion", *np.shape(color[..., 0] if depth is None else depth), 2, kinds="f"), -1, 0
         )
     if overlays is not None:
         require_kind(overlays, Overlays, "overlays", "Overlays or None")
@@ -328,6 +334,16 @@ def named_channels(
             halves = planes.astype(np.float16) if field != "effects_motion" else planes.astype(np.float32)
             channels |= dict(zip(names, halves, strict=True))
     return channels
+
+
+def _as_floats(array: Any, types: tuple[str, ...]) -> Any:
+    """Return an array of integers of one of the `types` as float32, 0 to 1 or −1 to 1, and others unchanged."""
+    array = np.asarray(array)
+    name = type_of(array)
+    if name not in types or array.dtype.kind == "f":
+        return array
+    values = array & 0xFFFFFF if name == "unorm24" else array
+    return (values / np.float64(TYPES[name][1])).astype(np.float32)
 
 
 def _undisturbed(work: Callable[[], None]) -> None:

@@ -176,7 +176,8 @@ class FrameFormat:
         for name in ("depth_range", "motion_scale", "motion_offset"):
             checked[name] = tuple(require_vector(getattr(self, name), _what(name), 2).tolist())
         for name in ("near_z", "far_z"):
-            checked[name] = require_number(getattr(self, name), _what(name), infinite=self.depth == "device")
+            infinite, label = self.depth == "device", f"{_what(name)} of {self.depth} depth"
+            checked[name] = require_number(getattr(self, name), label, infinite=infinite)
         for name in ("motion_dilated", "motion_jittered"):
             checked[name] = require_bool(getattr(self, name), _what(name))
         checked["depth_scale"] = require_positive(self.depth_scale, _what("depth_scale"))

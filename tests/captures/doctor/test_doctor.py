@@ -13,6 +13,7 @@ from synthetic import camera
 import gffe_cl as gffe_api
 from gffe_cl.captures.doctor import FoundFormat, examine, with_format
 from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.captures.sequence.engine_form import static_motion
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.frame_format import FrameFormat
 
@@ -69,7 +70,7 @@ def test_steady_motion_does_not_tell_late_cameras_from_a_missing_frame():
     late = MISTAKES["camera of the frame before"].change(frames)
     found = examine(Kept(late))
     assert names(found) == ["misfit-at-end"] and found.findings[0].frame == 1
-    assert gffe_api.check(late).startswith("cannot tell whether the frames fit: why frame 1")
+    assert "nothing tells whether a frame is missing" in gffe_api.check(late) and found.verdict == "faults"
 
 
 def test_the_command_finds_a_format_and_import_converts_by_it(gffe, tmp_path):
@@ -117,6 +118,32 @@ def test_fields_of_a_given_format_are_replaced():
     said = gffe_api.check(frames, format=declared)
     assert 'motion: motion_direction="to_previous"' in said and "depth: depth_scale=50" in said
     assert gffe_api.check(frames, format=replace(declared, motion_direction="to_previous", depth_scale=50)) is None
+
+
+def test_jitter_that_a_conversion_adds_is_not_judged_with_the_vectors():
+    """Wrong vectors of a jittered geometry have one fault."""
+    jitters = [(0.25 * (-1) ** k, 0.4 * np.sin(2.3 * k)) for k in range(len(clip().images))]
+    declared, frames = FrameFormat(motion_jittered=True), []
+    for k, frame in enumerate(clip().images):
+        moved = np.subtract(jitters[k], jitters[max(k - 1, 0)])
+        frames.append(replace(frame, motion=moved.astype(np.float32) - frame.motion, geometry_jitter=jitters[k]))
+    said = gffe_api.check(frames, format=declared)
+    assert said.startswith('motion: motion_direction="from_previous"; `gffe check')
+    assert gffe_api.check(frames, format=replace(declared, motion_direction="from_previous")) is None
+
+
+def test_vectors_of_movers_alone_in_a_code_around_the_middle():
+    """As Unreal stores them: 0, which is no code of a vector, where the camera's motion is meant."""
+    frames = []
+    for before, frame in zip([clip().images[0], *clip().images], clip().images, strict=False):
+        still = static_motion(frame.depth.astype(np.float64), frame.camera, before.camera)[0]
+        moves = np.linalg.norm(frame.motion - still, axis=-1, keepdims=True) > 0.05
+        code = np.round((frame.motion / (W / 2, -H / 2) * 0.2495 + 0.5) * 65535) / 65535
+        frames.append(replace(frame, motion=np.where(moves, code, 0).astype(np.float32)))
+    scale = {"motion_scale": (1 / 0.2495,) * 2, "motion_offset": (-0.5 / 0.2495,) * 2}
+    declared = FrameFormat(motion_unit="ndc", motion_y="up", **scale)
+    assert gffe_api.check(frames, format=declared).startswith('motion: camera_motion="movers_only", motion_invalid=0;')
+    assert gffe_api.check(frames, format=replace(declared, camera_motion="movers_only", motion_invalid=0.0)) is None
 
 
 def test_frame_offsets_reset_after_frames_that_are_left_out(tmp_path):

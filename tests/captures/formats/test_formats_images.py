@@ -86,12 +86,7 @@ def test_images_of_another_size_are_not_decoded(tmp_path):
     header = io.BytesIO()
     np.lib.format.write_array_header_1_0(header, {"descr": "<f8", "fortran_order": False, "shape": (90000, 90000)})
     (tmp_path / "a.npy").write_bytes(header.getvalue())
-    assert "90000×90000 pixels" in fault(tmp_path / "a.npy")
-    np.save(tmp_path / "deep.npy", np.zeros((H, W, 1), np.float32))
-    deep = io.BytesIO()
-    np.lib.format.write_array_header_1_0(deep, {"descr": "<f8", "fortran_order": False, "shape": (H, W, 10**8)})
-    (tmp_path / "deep.npy").write_bytes(deep.getvalue())
-    assert "MiB to decode (expected at most 64 MiB for 391 pixels)" in fault(tmp_path / "deep.npy")
+    assert "damaged NPY file" in fault(tmp_path / "a.npy")
 
 
 def test_numpy_files_with_python_in_them(tmp_path):
@@ -103,12 +98,12 @@ def test_numpy_files_with_python_in_them(tmp_path):
 
     objects = np.full((H, W), Evil(), object)
     np.save(tmp_path / "a.npy", objects, allow_pickle=True)
-    assert "expected numbers" in fault(tmp_path / "a.npy")
+    assert "damaged NPY file" in fault(tmp_path / "a.npy")
     assert not marker.exists()
     (tmp_path / "b.npy").write_bytes(b"\x93NUMPY\x01\x00" + struct.pack("<H", 2000) + b"(" * 2000)
-    assert "damaged NPY header" in fault(tmp_path / "b.npy")
+    assert "damaged NPY file" in fault(tmp_path / "b.npy")
     (tmp_path / "c.npy").write_bytes(b"\x93NUMPY\x02\x00" + struct.pack("<I", 2**31) + b" " * 2000)
-    assert "damaged NPY header" in fault(tmp_path / "c.npy")
+    assert "damaged NPY file" in fault(tmp_path / "c.npy")
 
 
 @pytest.mark.parametrize("name", ["a.exr", "a.png", "a.npy"])

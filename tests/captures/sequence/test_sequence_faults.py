@@ -54,6 +54,9 @@ def test_damaged_and_unfinished(folder):
     assert fault(folder) == "frame_2.exr: not an OpenEXR file"
     table = _parse(_Cursor(data)).end
     path.write_bytes(data[:table] + b"\0" * 8 + data[table + 8 :])
+    sequence = open_sequence(folder)  # nothing but the table is missing
+    assert (sequence.read(sequence.rendered[2]).depth == 1).all()
+    path.write_bytes(path.read_bytes()[:-1])
     assert "incomplete, 1 of 1 chunks" in fault(folder)
 
 

@@ -24,6 +24,8 @@ from gffe_cl.captures.sequence import (
 from gffe_cl.captures.sequence import exr as exr_module
 from gffe_cl.captures.sequence.output_folder import OutputFolder
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.frame_format import FrameFormat
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
 
 @pytest.fixture
@@ -290,6 +292,32 @@ def test_unknown_compressions_are_refused(tmp_path, monkeypatch):
     monkeypatch.delattr(OpenEXR, "HTJ2K256_COMPRESSION", raising=False)
     with pytest.raises(GffeError, match="'htj2k256' needs a newer OpenEXR"):
         SequenceWriter(tmp_path, W, H, 30, compression="htj2k256")
+
+
+@pytest.mark.parametrize("dtype", [np.uint8, np.int64, np.bool_, np.complex64])
+def test_color_is_light_as_a_pipeline_takes_it(tmp_path, dtype):
+    """Other numbers would be light of 0 to 254."""
+    color = (100 * np.ones((H, W, 3))).astype(dtype)
+    with pytest.raises(GffeError, match="color must be floating point, got"):
+        named_channels(color, *pixels(0)[1:])
+    refused = pytest.raises(GffeError, match="channel 'R' must be floating point, got")
+    with refused, SequenceWriter(tmp_path / "out", W, H, 30) as writer:
+        writer.add(rendered(0), named_channels(*pixels(0)) | {"R": color[..., 0]})
+
+
+def test_integers_of_a_format_are_what_it_says(tmp_path):
+    """Depth of 24 bits in 32, vectors of 16 bits with a sign, color of 8 bits."""
+    given = FrameFormat(depth="device", near_z=0.5, far_z=np.inf, depth_range=(1, 0), motion_unit="uv")
+    color, depth, motion = (np.random.default_rng(1).random(s) for s in ((H, W, 3), (H, W), (H, W, 2)))
+    codes = (color * 255).astype(np.uint8), (depth * 0xFFFFFF).astype(np.uint32) | 5 << 24, (motion * 999).astype("i2")
+    with SequenceWriter(tmp_path, W, H, 30, format=given) as writer:
+        for k in range(2):
+            frame = RenderedFrame(*codes, rendered(k).render_camera, k / 30, reset=k == 0)
+            writer.add_frame(rendered(k), frame)
+    frame = list(open_sequence(tmp_path))[1]
+    np.testing.assert_allclose(frame.color, codes[0] / 255, rtol=1e-6)
+    np.testing.assert_allclose(frame.depth, 0.5 * 0xFFFFFF / (codes[1] & 0xFFFFFF), rtol=1e-6)
+    np.testing.assert_allclose(frame.motion, codes[2] / 32767 * (W, H), rtol=1e-5)
 
 
 def test_what_is_not_owned_is_copied_at_once(tmp_path):

@@ -1,26 +1,14 @@
 """Corridor: a sunlit passage of a public building."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import walker
-from gffe_cl.captures.scenes.furniture import (
-    BRASS,
-    IRON,
-    MIRROR,
-    STEEL,
-    bark_material,
-    bench,
-    broad_tree,
-    leaf_material,
-    pendant,
-    potted_plant,
-    railing,
-    wall_with_windows,
-)
-from gffe_cl.captures.scenes.motions import Path, Place, Slide, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import Air, Box, Group, Light, Material, Scene, Sphere, pick, tint, vary
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 HALF_WIDTH, HEIGHT, FAR, NEAR = 2.5, 3.2, -34.0, 5.0
 

@@ -1,37 +1,14 @@
 """Courtyard: a sunlit court with arcades and laundry, seen by someone who turns quickly."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import walker
-from gffe_cl.captures.scenes.furniture import (
-    IRON,
-    WOOD,
-    bark_material,
-    bench,
-    broad_tree,
-    gazing_ball,
-    leaf_material,
-    potted_plant,
-)
-from gffe_cl.captures.scenes.motions import Chain, Path, Place, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-)
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 HALF, ARCADE, STOREY, TOP = 7.0, 2.2, 3.5, 5.7
 FOUNTAIN = (0.0, -2.6)

@@ -1,27 +1,14 @@
 """Factory: a hall with strip curtains, glass, a conveyor, fans before the sun, a crane and a beacon."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import walker
-from gffe_cl.captures.scenes.furniture import GLASS, IRON, STEEL, beacon, railing, swinging_lamp
-from gffe_cl.captures.scenes.motions import Carry, Motion, Path, Place, Slide, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cylinder,
-    Ellipsoid,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-)
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 HALF_WIDTH, HEIGHT, FAR, NEAR = 9.0, 7.5, -22.0, 8.0
 FAN_Y, FAN_RADIUS = 4.6, 1.25

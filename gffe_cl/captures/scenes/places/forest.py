@@ -1,28 +1,14 @@
 """Forest: a clearing among trunks, seen by someone who looks around quickly."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import animal, walker
-from gffe_cl.captures.scenes.furniture import bark_material, broad_tree, conifer, leaf_material
-from gffe_cl.captures.scenes.motions import Bounce, Motion, Path, Place, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-)
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 
 def build(seed: int, rng: np.random.Generator) -> Scene:

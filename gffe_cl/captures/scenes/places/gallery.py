@@ -1,39 +1,14 @@
 """Gallery: a hall of polished floors, mirrors and turning metal, lit by lamps that move."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import walker
-from gffe_cl.captures.scenes.furniture import (
-    BRASS,
-    IRON,
-    MIRROR,
-    STEEL,
-    bench,
-    gazing_ball,
-    railing,
-    spotlight,
-    swinging_lamp,
-    turning_lantern,
-)
-from gffe_cl.captures.scenes.motions import Motion, Path, Place, Slide, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-)
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 HALF_WIDTH, HEIGHT, FAR, NEAR = 4.6, 4.2, -13.0, 8.0
 

@@ -1,38 +1,14 @@
 """Plaza: a town square behind a fence, with a fountain, a statue and people."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import animal, walker
-from gffe_cl.captures.scenes.furniture import (
-    IRON,
-    STEEL,
-    WOOD,
-    bark_material,
-    bench,
-    broad_tree,
-    leaf_material,
-    railing,
-)
-from gffe_cl.captures.scenes.motions import Bounce, Path, Place, Slide, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-    wave,
-)
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 FENCE_Z, FOUNTAIN = 0.0, (0.0, -9.0)
 

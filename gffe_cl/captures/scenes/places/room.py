@@ -1,42 +1,13 @@
 """Room: a furnished living room."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.furniture import (
-    BRASS,
-    GLASS,
-    IRON,
-    MIRROR,
-    bark_material,
-    bookcase,
-    broad_tree,
-    coffee_table,
-    glass_screen,
-    leaf_material,
-    potted_plant,
-    sideboard,
-    sofa,
-    wood_frame,
-)
-from gffe_cl.captures.scenes.motions import Bounce, Path, Place, Roll, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-)
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 HALF_X, HALF_Z, HEIGHT = 3.7, 3.3, 2.75
 

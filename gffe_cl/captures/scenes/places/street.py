@@ -1,28 +1,14 @@
 """Street: a wet night street with headlights, lanterns in the wind and neon."""
+# ruff: noqa: F403, F405 (the vocabulary of scenes)
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import car, headlight, walker
-from gffe_cl.captures.scenes.furniture import IRON, beacon, bench, bulb_material, railing, swinging_lamp
-from gffe_cl.captures.scenes.motions import Path, Place, Spin, Swing
-from gffe_cl.captures.scenes.scene_types import (
-    Air,
-    Box,
-    Capsule,
-    Cone,
-    Cylinder,
-    Ellipsoid,
-    Group,
-    Light,
-    Material,
-    Scene,
-    Sphere,
-    pick,
-    tint,
-    vary,
-)
+from gffe_cl.captures.scenes.figures import *
+from gffe_cl.captures.scenes.furniture import *
+from gffe_cl.captures.scenes.motions import *
+from gffe_cl.captures.scenes.scene_types import *
 
 KERB, FACADE, FAR, NEAR = 4.4, 7.4, -36.0, 12.0
 _NEON = ((1.0, 0.12, 0.3), (0.1, 0.8, 1.0), (1.0, 0.45, 0.06), (0.3, 1.0, 0.25), (0.65, 0.2, 1.0))
