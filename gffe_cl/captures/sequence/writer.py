@@ -189,7 +189,9 @@ class SequenceWriter:
         self._submit(checked_entry(entry), lambda path: _link_or_copy(source, path))
 
     def take_up(self, entry: FrameEntry) -> None:
-        """Keep a frame of `finished`."""
+        """Keep a frame of `finished`. Raises GffeError for any other."""
+        if require_kind(entry, FrameEntry, "entry") not in self.finished.values():
+            raise GffeError(f"{entry.file}: is not finished (expected a frame of `finished`)")
         self._folder.claim(entry.file)
         self._description.frames.append(entry)
 

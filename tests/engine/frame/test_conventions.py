@@ -239,32 +239,6 @@ def test_motion_in_other_units():
         assert motion.dtype == np.float32
 
 
-def test_what_is_refused():
-    view, projection = turn(1), frustum(-1, -1, 1, -1, 1, Z_ROWS["0..1"])
-    orthographic = np.diag([1.0, 1, 1, 1])
-    sheared = projection.copy()
-    sheared[0, 1] = 0.5
-    bad = {
-        "fit layout 'column-major'": (view, projection, SIZE, "column-major"),
-        "fit layout 'row-major'": (view.T, projection.T, SIZE, "row-major"),
-        "layout must be": (view, projection, SIZE, "rows"),
-        "no perspective": (view, orthographic, SIZE),
-        "sheared": (view, sheared, SIZE),
-        "(4, 4)": (view[:3], projection, SIZE),
-        "finite": (view * np.nan, projection, SIZE),
-        "size": (view, projection, (0, 3)),
-        "not rigid": (view @ np.diag([1, 1, 3, 1]), projection, SIZE),
-        "both layouts": (np.eye(4), frustum(1, -1, 1, -1, 1, (1.0, -1.0)), SIZE),
-    }
-    for words, given in bad.items():
-        with pytest.raises(GffeError, match=re.escape(words)):
-            Camera.from_opengl(*given)
-    with pytest.raises(GffeError, match="direction"):
-        motion_from_ndc(np.zeros((1, 1, 2)), SIZE, "next")
-    with pytest.raises(GffeError, match="shape"):
-        motion_from_uv(np.zeros((1, 1, 3)), SIZE)
-
-
 @pytest.mark.parametrize("layout", ["auto", "row-major", "column-major"])
 @pytest.mark.parametrize("axis", ["x", "y"])
 def test_a_z_up_view_is_refused_with_what_converts_it(axis, layout):

@@ -45,9 +45,3 @@ def test_tensors_of_other_libraries(monkeypatch):
     monkeypatch.setattr(np, "__version__", "2.0.2")
     with pytest.raises(GffeError, match=said + r"tensors of a GPU need NumPy 2.1 or newer, this is 2.0.2\)$"):
         host_arrays(RenderedFrame(*given, camera(W, H), time=0.0), H, W)
-
-
-def test_integer_color_is_refused_with_a_hint():
-    color, depth, motion = np.zeros((H, W, 3), np.uint8), np.ones((H, W), np.float32), np.zeros((H, W, 2), np.float32)
-    with pytest.raises(GffeError, match=r"color must be floating point, got uint8 .expected .*gffe.FrameFormat\(\)"):
-        host_arrays(RenderedFrame(color, depth, motion, camera(W, H), time=0.0))

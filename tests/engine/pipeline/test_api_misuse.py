@@ -97,6 +97,30 @@ REFUSED = (
     (tuple, (*NO_ARRAYS, (1,), (1, None), (float("nan"), 1), range(9))),
     (object, NO_OBJECTS),
 )
+EYE, VIEW, SHEARED = np.eye(4), GOOD["view"], PROJECTION.copy()
+SHEARED[0, 1] = 0.5
+# Values of the right kind that must be refused, too.
+OUT_OF_RANGE = {
+    "Camera.world_to_view": (0 * EYE, 2 * EYE, np.nan * EYE, np.eye(3), EYE + np.eye(4, k=-3), 1e300 * EYE),
+    **dict.fromkeys(("Camera.fx", "Camera.fy"), (0, -3.0, float("inf"), 1e10)), "Camera.cx": (float("inf"), 1e10),
+    "Camera.from_opengl.view": (VIEW[:3], np.nan * VIEW, VIEW @ np.diag([1, 1, 3, 1]), VIEW + np.eye(4, k=-3)),
+    "Camera.from_opengl.projection": (EYE, SHEARED, 0 * PROJECTION), "Camera.from_opengl.size": ((0, 3),),
+    "Camera.from_opengl.layout": ("rows",), "motion_from_ndc.direction": ("next",), "motion_from_ndc.y": ("left",),
+    "motion_from_uv.motion": (np.zeros((1, 1, 3)),), "Camera.from_unreal_pose.fov": (0.0, 180.0),
+    "Camera.projection_matrix.near": (0.0, -1.0), "Camera.view_matrix.api": ("metal",),
+    "predict_camera.alpha": (1e200, float("inf")), "fixed_window.factor": (0.5, float("nan"), 1e12),
+    "adaptive_window.max_enlargement": (0.9,), "adaptive_window.distance": (0.0,), "adaptive_window.least": (-1.0,),
+    "adaptive_window.size": ((0, 10), (5, float("nan"))), "adaptive_window.margin": (-100.0,),
+    **dict.fromkeys(("Pacer.display_rate", "Pacer.fps", "Pacer.most_alpha"), (1e-300, 1e300, -1.0, 0.0)),
+    **dict.fromkeys(("Pacer.rendered.time", "Pacer.plan.now", "Pacer.ready.now"), (1e13, -1e13, 1e300)),
+    "Jitter.length": (0, 2000), "Jitter.parse.text": ("halton", "halton:1", "halton:x", "sobol:4", "halton:2000"),
+    "FrameFormat.depth_range": ((0, 0),), "FrameFormat.depth_scale": (0.0,), "FrameFormat.rows": ("left",),
+    "FrameFormat.color_encoding": ("gamma",), "FrameFormat.color_type": ("unorm24",),
+    "FrameFormat.color_size": ((0, 5),), "Pipeline.submit, fields.color": (np.zeros((H, W, 3), np.uint8),),
+    "FrameFormat.motion_unit": ("inches",), "FrameFormat.motion_scale": ((1, 0),), "FrameFormat.motion_channels": (1,),
+    "FrameFormat.motion_invalid": (float("inf"),), "FrameFormat.geometry_size": ((5, 0),),
+    "FrameFormat.camera_motion": ("some",), "FrameFormat.far_z": (float("inf"),),
+}  # fmt: skip
 # Parameters that take some of these, too: names, numbers of any size, arrays of any shape, what no user gives.
 TAKEN = {
     "Camera.projection_matrix.width", "Camera.projection_matrix.height", "depth_from_device.z", "to_display.color",
@@ -134,10 +158,14 @@ class Call:
             for other in alike(value):
                 yield name, self.good | {name: other}
 
-    def refused(self):
-        """Yield name and value of arguments that must be refused."""
+    def refused(self, call):
+        """Yield name and value of arguments that must be refused by the call of this name."""
         for name, good in self.good.items():
-            for value in next(values for kind, values in REFUSED if isinstance(good, kind)):
+            place = f"{call}.{name}"
+            if place not in TAKEN:
+                for value in next(values for kind, values in REFUSED if isinstance(good, kind)):
+                    yield name, value
+            for value in OUT_OF_RANGE.get(place, ()):
                 yield name, value
 
     def extreme(self):
@@ -256,6 +284,7 @@ def host_calls(folder):
         def of(**given):
             with SequenceWriter(folder / "written", W, H, 30.0) as writer:
                 writer.add(entry, dict(channels))
+                writer.finished = {second.file: second}  # as of a stopped run
                 getattr(writer, method)(**given)
 
         return Call(of, good)
@@ -279,6 +308,7 @@ def host_calls(folder):
         "Options": Call(Options, {name: option.default for name, option in OPTIONS.items()}),
         "SequenceWriter": Call(started, writing),
         "SequenceWriter.add": written("add", entry=second, channels=channels, owned=False),
+        "SequenceWriter.take_up": written("take_up", entry=second),
         "SequenceWriter.add_frame": written("add_frame", entry=second, frame=NEXT),
         "SequenceWriter.link": written("link", entry=second, source_path=stored),
         "SequenceWriter.folder": written("folder", name="stages"),
@@ -343,9 +373,8 @@ def check(calls):
                 call.of(**good)
             except Exception as error:
                 pytest.fail(f"{name}: {argument}={good[argument]!r}, as good, raises {error!r}")
-        for argument, value in call.refused():
-            if f"{name}.{argument}" not in TAKEN:
-                assert call.ends_in_one_line(argument, value), f"{name}: {argument}: a {type(value)} is taken"
+        for argument, value in call.refused(name):
+            assert call.ends_in_one_line(argument, value), f"{name}: {argument}: a {type(value)} is taken"
         for argument, value in call.extreme():
             call.ends_in_one_line(argument, value)
 

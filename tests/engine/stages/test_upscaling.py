@@ -159,14 +159,6 @@ def test_points_of_the_jitter():
     assert JITTER.camera(shown, 2).cx == shown.cx - 0.25
 
 
-@pytest.mark.parametrize("text", ["halton", "halton:1", "halton:x", "sobol:4", "halton:2000"])
-def test_a_wrong_jitter_is_told(gffe, tmp_path, text):
-    code, _, err = gffe("render", "corridor", tmp_path / "out", "--jitter", text)
-    assert (
-        code == 2 and err.startswith("error: jitter must be off or halton:LENGTH") and not (tmp_path / "out").exists()
-    )
-
-
 @pytest.fixture(scope="module")
 def recorded(tmp_path_factory):
     """A small jittered sequence with truth of the display's size."""
