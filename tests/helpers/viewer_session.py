@@ -1,13 +1,17 @@
 """The viewer's model with its engine, without a window."""
 
+import functools
 import threading
 import time
 from contextlib import contextmanager
 
+from gffe_cl.viewer.engine.sources.opening import open_viewer_device
+from gffe_cl.viewer.state import document
 from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.settings import Settings
 
 PATIENCE = 150.0
+document.open_viewer_device = functools.cache(open_viewer_device)  # whose kernels are built once for all sessions
 
 
 def wait_for(happens, seconds=PATIENCE):

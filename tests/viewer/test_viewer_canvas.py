@@ -3,7 +3,6 @@
 import colorsys
 import os
 from dataclasses import replace
-from importlib.resources import files
 from types import SimpleNamespace
 
 import moderngl
@@ -19,7 +18,7 @@ from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.engine.stages.buffers import Sizes, grid_of
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.lab.report import error_image
-from gffe_cl.viewer.picture.canvas import Canvas, read, texels_of
+from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.displays import (
     LABEL_COLORS,
     MASK_OFF,
@@ -104,12 +103,6 @@ def wheel(vectors, scale):
     hue = np.array([colorsys.hsv_to_rgb(turn % 1, 1, 1) for turn in angle.ravel()]).reshape(*angle.shape, 3)
     share = np.sqrt(np.minimum(np.linalg.norm(vectors, axis=-1) / scale, 1))[..., None]
     return 0.08 + (hue - 0.08) * share
-
-
-def test_shaders_are_ascii():
-    """GLSL 3.30 knows nothing else, even in comments."""
-    for name in ("display.vert", "display.frag"):
-        assert files("gffe_cl.viewer.picture").joinpath(name).read_bytes().isascii()
 
 
 # ---- where pixels land ---------------------------------------------------------------------------------
@@ -698,56 +691,11 @@ def test_layer_that_has_changed_its_meaning(canvas):
     assert canvas.layers["x"].view == "mask"
 
 
-def test_too_large_images_are_thinned_out():
-    array = np.arange(70, dtype=np.float32).reshape(7, 10)
-    assert texels_of(array, SCALAR, 10).shape == (1, 7, 10, 1)
-    np.testing.assert_array_equal(texels_of(array, SCALAR, 4)[0, ..., 0], array[::3, ::3])
-
-
 def test_missing_layer_is_background(canvas):
     view = View("absent", Display(), "gone", None, background=(0.2, 0.4, 0.6))
     for compare in ("off", "difference", "error", "flip"):
         close(drawn(canvas, replace(view, compare=compare, overlay="edges"), (8, 6)), (0.2, 0.4, 0.6), 130)
         close(drawn(canvas, replace(view, compare=compare), (8, 6)), (0.2, 0.4, 0.6))
-
-
-def test_canvas_is_reused_and_resized(canvas, context):
-    first = canvas.draw(View("absent", Display()), (20, 10))
-    assert canvas.draw(View("absent", Display()), (20, 10)) is first
-    assert canvas.draw(View("absent", Display()), (20, 10), target="other") is not first
-    assert canvas.draw(View("absent", Display()), (30, 11)).size == (30, 11)
-    assert canvas.draw(View("absent", Display()), (0, -3)).size == (1, 1)
-
-
-def test_only_a_change_is_drawn(canvas, monkeypatch):
-    canvas.upload("c", np.zeros((8, 12, 4), np.float32), replace(COLOR, name="c"))
-    view, draw, drawn = View("c", Display()), canvas._draw, []
-    monkeypatch.setattr(canvas, "_draw", lambda *given: drawn.append(draw(*given)))
-    counts = []
-    for change in (
-        lambda: None,
-        lambda: None,
-        lambda: setattr(view, "zoom", 2.0),
-        lambda: setattr(canvas, "frame", FrameInfo((12, 8))),
-        lambda: canvas.upload("c", np.ones((8, 12, 4), np.float32), replace(COLOR, name="c")),
-        lambda: canvas.forget(["c"]),
-        lambda: canvas.forget(["c"]),
-    ):
-        change()
-        canvas.draw(view, (20, 10))
-        counts.append(len(drawn))
-    assert counts == [1, 1, 2, 3, 4, 5, 5]
-
-
-def test_what_was_bound_stays_bound(canvas, context):
-    framebuffer = context.simple_framebuffer((4, 4))
-    framebuffer.use()
-    canvas.draw(View("absent", Display()), (20, 10))
-    canvas.overview([("absent", Display())], (20, 10))
-    assert context.fbo is framebuffer
-    framebuffer.clear(1, 0, 0, 1)
-    assert framebuffer.read()[:3] == b"\xff\x00\x00"
-    framebuffer.release()
 
 
 # ---- a real pipeline -----------------------------------------------------------------------------------

@@ -7,7 +7,6 @@ import sys
 from pathlib import Path
 from types import SimpleNamespace
 
-import foreign_files
 import numpy as np
 import pytest
 import tiny_sequence
@@ -103,7 +102,6 @@ def test_display_that_is_not_there(gffe):
     ("server", "environment", "reason"),
     [
         (["-extension", "GLX"], {}, "GLX: GLX extension not found"),
-        ([], {"MESA_GL_VERSION_OVERRIDE": "3.2"}, "GLX: Failed to create context: GLXBadFBConfig"),
     ],
 )
 def test_display_without_opengl(gffe, screen, server, environment, reason):
@@ -129,22 +127,6 @@ def test_wayland_without_x11_is_named(monkeypatch):
 
     with pytest.raises(GffeError, match=r"no X display: WAYLAND_DISPLAY is wl-9, .* XWayland; without a screen: xvfb"):
         require_display()
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("arguments", "told"),
-    [
-        (["broken"], "not valid JSON"),
-        (["in", "--layer", "nonsense"], "no layer is called 'nonsense'"),
-        (["in", "--screenshot", "a.jpg"], "a.jpg: a picture's name must end in .png"),
-    ],
-)
-def test_refused_screenshots(gffe, screen, tmp_path, arguments, told):
-    (tmp_path / "broken").mkdir()
-    (tmp_path / "broken" / "sequence.json").write_text('{"format": ')
-    assert told in refused(gffe, "--screenshot", "a.png", *arguments)
-    assert not list(tmp_path.glob("a.*"))
 
 
 @pytest.mark.slow
@@ -215,18 +197,6 @@ def test_scripts_are_checked_before_anything_starts(tmp_path, unopened_app, text
         parse(tmp_path / "steps.txt", unopened_app.actions)
 
 
-@pytest.mark.parametrize("kind", foreign_files.KINDS)
-def test_scripts_are_regular_files(tmp_path, unopened_app, kind):
-    foreign_files.put(tmp_path / "steps.txt", kind)
-
-    def said():
-        with pytest.raises(GffeError, match=r"steps.txt: cannot be read .*expected") as refused:
-            parse(tmp_path / "steps.txt", unopened_app.actions)
-        return str(refused.value)
-
-    assert "\n" not in foreign_files.within(10, said)
-
-
 WRONG_STEPS = {
     "seek x": "expected a frame's number on the timeline",
     "seek 99": "expected 0 to 5",
@@ -283,38 +253,6 @@ def test_actions_are_listed(gffe):
     assert (code, err) == (0, "") and {"play", "quit", "seek", "toggle Plot"} <= {
         line[:32].strip() for line in out.splitlines()
     }
-
-
-@pytest.mark.slow
-def test_settings_that_cannot_be_saved(gffe, screen, tmp_path):
-    """The viewer opens, and says so when it is closed."""
-    (tmp_path / "file").write_text("")
-    script = (
-        "import gffe_cl.viewer.window.app as a\n"
-        "def close(app):\n    app.close()\n"
-        "a.App.__init__ = lambda self, model, on_frame=None, init=a.App.__init__: init(self, model, close)\n"
-        "from gffe_cl.cli import main; main()\n"
-    )
-    (tmp_path / "script.py").write_text(script)
-    environment = os.environ | {"XDG_CONFIG_HOME": str(tmp_path / "file"), "LIBGL_ALWAYS_SOFTWARE": "1"}
-    child = subprocess.run(
-        [*SCREEN, sys.executable, "script.py", "view", "in"],
-        env=environment,
-        cwd=tmp_path,
-        capture_output=True,
-        text=True,
-        timeout=200,
-    )
-    assert child.returncode == 0 and "Traceback" not in child.stderr
-    assert child.stderr.strip().endswith("the settings cannot be saved: Not a directory")
-
-
-@pytest.mark.slow
-def test_screenshot_of_the_readme(gffe, screen, tmp_path):
-    command = re.search(r"`gffe view out/demo/rendered (--screenshot .*?)`", GUIDE.read_text("utf-8"))[1].split()
-    command[command.index("--frame") + 1] = "3"
-    assert gffe("in", *command) == (0, "", "")
-    assert (tmp_path / command[1]).is_file()
 
 
 @pytest.mark.parametrize(("fault", "code"), [("None", 0), ("GffeError('wrong')", 2), ("KeyboardInterrupt()", 130)])

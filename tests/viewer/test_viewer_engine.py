@@ -1,7 +1,6 @@
 """The viewer's engine: what it shows is what a pipeline gives, however one gets there; nothing stops it."""
 
 import shutil
-import threading
 import time
 from dataclasses import replace
 
@@ -51,36 +50,6 @@ from gffe_cl.viewer.engine.messages import Failure, Frame, Interrupted, Setup
 from gffe_cl.viewer.engine.sources.live import SceneSource
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.sources.stored import StoredSlots
-
-
-def test_every_layer_equals_a_plain_run(device):
-    """Played slot by slot, and in real time with frames skipped: all layers, bit for bit."""
-    setup = Setup(replace(ALL, history=3, order=2), n=2)
-    played = [(k, j) for k in range(4) for j in range(3)]
-    expected = plain_run(device, frames(), setup, [*played, (5, 1)])
-    with running(device, Clip()) as engine:
-        for at, slot in zip(played, slots(setup, *played), strict=True):
-            result = ask(engine, slot, setup, expected[at])
-            assert (result.moment.k, result.moment.alpha, result.slot) == (at[0], at[1] / 3, slot)
-            generated = {name for name, spec in result.specs.items() if spec.of_generated}
-            there = expected[at].keys() - (set() if at[1] else generated)  # their buffers hold the slot before
-            assert result.images.keys() == there
-            assert_same(result.images, expected[at], there)
-            assert result.moment.camera == pose(at[0] + at[1] / 3) and result.moment.render_camera == pose(at[0])
-            assert result.moment.previous_camera == (pose(at[0] - 1) if at[0] else None)
-    with running(device, source := Clip()) as engine:
-        for at in ((0, 1), (3, 1), (3, 2), (5, 1)):
-            result = ask(engine, *slots(setup, at), setup, expected[at])
-            assert_same(result.images, expected[at])
-        assert source.asked == [0, 1, 2, 3, 4, 5]
-        milliseconds = result.milliseconds
-        assert set(milliseconds) == {
-            *("scene_cuts", "history", "sharpness", "connectivity", "prediction", "backward_blocks", "color_code"),
-            *("warp", "hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"),
-        }
-        # History tracking counts the samples of a cut, and encodes while the camera moves.
-        assert milliseconds.pop("scene_cuts") == milliseconds.pop("color_code") == 0
-        assert min(milliseconds.values()) > 0 and result.wall_ms > result.readback_ms > 0
 
 
 @pytest.mark.parametrize("with_cameras", [True, False])
@@ -222,52 +191,6 @@ def plain_layers(device):
         return ask(engine, 6, Setup(n=1)).specs.keys()
 
 
-def test_options_change_what_they_should(device):
-    """Each option, switched at one slot: some layers change, others do not, some come or go."""
-    first = Setup(ALL, n=1)
-    upto_submit = {
-        "history.dynamic_mask",
-        "connectivity.links",
-        "background.color_0",
-        "background.state_0",
-        "rendered.depth",
-    }
-    cases = {
-        "crack_closing": (False, {"final", "frame.filled_by", "frame.disoccluded"}, upto_submit),
-        "hole_filling": ("downsample", {"final", "frame.color", "frame.depth"}, upto_submit | {"frame.filled_by"}),
-        "motion": (False, {"final", "history.dynamic_mask", "prediction.target_position"}, {"rendered.depth"}),
-        "static_threshold": (40.0, {"history.dynamic_mask", "frame.dynamic"}, {"rendered.motion"}),
-        "history": (4, set(), upto_submit | {"final"}),
-        "acceleration": (False, {"prediction.target_position"}, upto_submit),
-        "upscale": (1.0, {"final"}, upto_submit | {"frame.color"}),
-        "levels": (2, set(), upto_submit | {"history.met_depth"}),
-        "shading_inputs": (False, set(), upto_submit | {"final"}),
-    }
-    with running(device, Clip()) as engine:
-        before = ask(engine, 13, first, "all").images
-        assert "shading.input_mask" in before
-        seen = {}
-        for name, (value, different, same) in cases.items():
-            after = ask(engine, 13, replace(first, options=replace(ALL, **{name: value})), "all").images
-            for layer in different:
-                assert after[layer].tobytes() != before[layer].tobytes(), (name, layer)
-            for layer in same:
-                assert after[layer].tobytes() == before[layer].tobytes(), (name, layer)
-            seen[name] = set(after)
-        order = Options(history=4, order=2, acceleration=False)
-        assert ask(engine, 13, Setup(replace(order, order=1)), "all").images["history.history"].shape == (3, H, W, 4)
-        predicted = [ask(engine, 13, Setup(replace(order, order=o)), "all").images for o in (1, 2)]
-        assert np.abs(np.subtract(*(p["prediction.target_position"][..., :2] for p in predicted))).max() > 0.01
-        sums = {"holes.downsampled_color", "holes.downsampled_inverse_depth"}
-        assert seen["hole_filling"] - set(before) == sums and set(before) <= seen["hole_filling"]
-        assert seen["levels"] - set(before) == {f"background.{n}_1" for n in ("color", "depth", "px", "state")}
-        assert set(before) - seen["shading_inputs"] == {
-            *("shading.warped_previous", "shading.input_mask"),
-            *(f"shading_trend.{name}" for name in ("changes", "changed_samples", "trend", "trends")),
-        }
-        assert_same(ask(engine, 13, first, before).images, before, set(before) - {"final"})  # and back
-
-
 def network_places(x, y):
     """Texels of the network's grids over a pixel."""
     return {f"network{level or ''}": (x // (2 << level), y // (2 << level)) for level in range(5)}
@@ -275,30 +198,6 @@ def network_places(x, y):
 
 def is_mover(images):
     return images["correction.focus_mask"] > 0
-
-
-def test_shading_correction_changes_what_its_focus_mask_covers(device, tmp_path):
-    options = replace(ALL, scn_model=movers_model(tmp_path / "m.onnx"), image_flow=False)
-    with running(device, FadingClip()) as engine:
-        plain = ask(engine, 13, Setup(replace(options, shading_correction=False)), "all").images
-        on = ask(engine, 13, Setup(options), "all")
-        images, mask = on.images, is_mover(on.images)
-        made = ("judgement", "chosen", "correction", "refined", "focus_mask", "color")
-        names = {"gae", "network_input.frames", *(f"correction.{name}" for name in made)}
-        names |= {f"shading_flow.{name}" for name in ("flow2", "differences", "candidates", "texture", "followed")}
-        assert set(images) - set(plain) == names
-        assert_same(images, {name: plain[name] for name in plain if name not in ("final", "focus_truth")})
-        for name, other in (("gae", "final"), ("focus_truth", "focus_truth")):
-            assert images[name].tobytes() == plain[other].tobytes()
-        assert 0.01 < mask.mean() < 0.9
-        assert ((images["final"] != images["gae"]).any(-1) == mask).all()
-        assert on.milliseconds["correction"] > 0 and on.milliseconds["network"] > 0
-        whole = ask(engine, 13, Setup(replace(options, focus_mask=False)), "all").images
-        assert whole["final"].tobytes() == images["correction.refined"].tobytes() == whole["correction.color"].tobytes()
-        assert_same(whole, {name: images[name] for name in images if name not in ("final", "correction.color")})
-        assert ask(engine, 13, Setup(options), ("final",)).images["final"].tobytes() == images["final"].tobytes()
-        rendered = ask(engine, 12, Setup(options), "all").images
-        assert "gae" not in rendered and rendered["final"].tobytes() == rendered["rendered.color"].tobytes()
 
 
 @pytest.mark.parametrize("exposure", [1.0, 0.2])
@@ -602,25 +501,6 @@ def test_a_damaged_file_is_reported_when_its_turn_comes(device, tmp_path):
         assert "final" in result.images and "truth" not in result.images and "truth_4.exr" in result.warnings[-1]
         path.write_bytes(whole)
         assert isinstance(ask(engine, 5, Setup()), Frame)
-
-
-def test_frames_are_read_ahead_and_once(device, tmp_path):
-    sequence, read = write(tmp_path / "s"), []
-    whole = sequence.read
-
-    def reading(entry):
-        read.append((entry.file, threading.current_thread().name))
-        return whole(entry)
-
-    sequence.read = reading
-    with running(device, lambda d: RecordedSource(sequence, d)) as engine:
-        ask(engine, 0, Setup())
-        wait_for(lambda: len(read) == 3)
-        assert [name.startswith("gffe-viewer-read") for _, name in read] == [False, True, True]
-        for slot in range(2, 12):
-            ask(engine, slot, Setup())
-        ask(engine, 3, Setup())
-        assert sorted(file for file, _ in read) == [f"frame_{k}.exr" for k in range(6)]
 
 
 SMALL = (64, 40)

@@ -15,7 +15,6 @@ from gffe_cl.captures.scenes.sequences import render_sequence
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
-from gffe_cl.engine.inspection.layers import FRAME_LAYERS
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.metrics import REGIONS as TABLE
 from gffe_cl.lab.metrics import Flicker, Metric, psnr, squared_error, to_display
@@ -32,10 +31,6 @@ from gffe_cl.viewer.engine.figures import (
 from gffe_cl.viewer.engine.jobs import Jobs
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.store import Store, Want
-from gffe_cl.viewer.picture.current_frame import Contents
-from gffe_cl.viewer.picture.displays import Display, FrameInfo
-from gffe_cl.viewer.picture.shown_numbers import largest
-from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.survey import Side, Survey
 
@@ -227,50 +222,6 @@ def test_means_of_both_are_over_the_slots_that_both_have():
         assert means[name] == pytest.approx(np.mean(values))
     known.clear()
     assert survey.means("psnr")[1] == 7 and set(survey.means("psnr")[0]) == {"A"}, "nothing of B is known yet"
-
-
-class Images(Contents):
-    """Contents with these images of `FRAME_LAYERS`, 60×40 display pixels."""
-
-    def __init__(self, images):
-        super().__init__()
-        self._images = images
-        self.layers = [*FRAME_LAYERS.values(), replace(FRAME_LAYERS["rendered.depth"], name="other")]
-
-    def image(self, name):
-        return self._images.get(name)
-
-    def frame_info(self, result=None):
-        return FrameInfo((60, 40))
-
-
-def test_the_worst_pixel_is_the_one_with_the_largest_error_that_is_shown():
-    rng = np.random.default_rng(5)
-    true = rng.uniform(0.2, 0.6, (40, 60, 4)).astype(np.float16)
-    color = true.copy()
-    color[30, 50, :3] += np.float16(0.4)
-    depth = np.full((20, 30), 3.0, np.float32)
-    other = depth.copy()
-    depth[0, 0] = other[0, 0] = np.inf
-    other[7, 9] = 3.5
-    images = Images({"final": color, "truth": true, "rendered.depth": depth, "other": other})
-    for a, b in (("final", "truth"), ("rendered.depth", "other")):
-        view = View(a, Display(), b, Display())
-        assert largest(view, images, None) is None, "nothing is compared"
-        for view.compare in ("difference", "error"):
-            pixel, error = largest(view, images, None)
-            expected = np.abs(to_display(color[..., :3], 1.0) - to_display(true[..., :3], 1.0))[30, 50]
-            assert pixel == ((50, 30) if a == "final" else (19, 15)), "of the display; sky is equal"
-            wanted = 0.5 if a != "final" else expected.mean() if view.compare == "error" else expected.max()
-            assert error == pytest.approx(wanted, rel=1e-3)
-        view.b = view.a
-        assert largest(view, images, None) is None, "equal"
-
-
-def test_equal_settings_are_counted_once():
-    _, survey = surveyed()
-    survey.update(survey.a, survey.a, 1.0, True)
-    assert survey.progress == (8, 8)
 
 
 def test_what_is_measured_stays_known_and_waits_for_others():

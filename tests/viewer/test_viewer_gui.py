@@ -55,32 +55,6 @@ def values(request, seen):
     return seen[name]["values"]
 
 
-def test_playback(values):
-    assert values["plays after the button"] and not values["plays after the button again"]
-    assert values["slots seen"] >= 2
-    assert values["plays after the first Space"] and not values["plays after the second Space"]
-    expected = {"Right": 6, "Left": 5, "Shift+Right": 6, "Shift+Left": 4, "End": 15, "Home": 0}
-    assert values["slots after keys"] == {name: [slot, slot] for name, slot in expected.items()}
-    assert values["slot after the step button"] == 1
-    assert values["points"] == [[4, 9], [0, 15]]
-
-
-def test_parameters(values):
-    assert values["disabled without a model"] == ["shading correction", "focus mask"]
-    assert values["thresholds"] == [8.0, 1.0] and values["slots"] == [26, 32]
-    assert not values["windowed when off"]
-
-
-def test_layers(values):
-    assert values["clicked"] == values["layers"] and values["by keys"] == values["ends"]
-    assert values["overlay"] == "edges"
-
-
-def test_inspector(values):
-    assert values["status"].startswith("(190, 106)   R ") and values["left"]
-    assert values["heights"][0] == values["heights"][1]  # R G B stand in one line
-
-
 def test_overview(values, seen):
     assert values["tiles"] == values["layers"]
     assert values["opened"] == ["frame.depth", False]
@@ -181,15 +155,6 @@ def test_restart(values):
         *("Timings", "Doctor", "Differences", "Ablation", "Plot", "Over time")
     ]
     assert values["window"] == [1100, 700]
-
-
-def test_settings_a_and_b(values):
-    assert values["kept"] == "defaults" and values["A differs"]
-    assert values["left is A"] and values["right is B"] and values["held shows B"]
-    assert values["largest fault of the difference"] <= 8  # A and B are rounded to 8 bits here, times 4
-    assert values["B follows A's layer"] == "B:frame.filled_by"
-    assert "--no-motion" in values["command"].split() and values["command"].startswith("gffe run ")
-    assert values["swapped"] is True
 
 
 def test_finding_frames(values):

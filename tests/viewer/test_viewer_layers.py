@@ -7,13 +7,12 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from scn_models import constant_model
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.base import Stage
-from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, BufferSpec, Sizes
+from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, Sizes
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.history import HistoryTracking, PositionPrediction
 from gffe_cl.engine.stages.holes import Downsampled
@@ -115,24 +114,6 @@ def test_stage_buffers_become_layers():
     assert all(spec.description and spec.view in VIEWS for spec in BY_NAME.values())
 
 
-def test_layers_of_a_pipeline_come_in_its_order(device, tmp_path):
-    layers = layers_of(Pipeline(device, 64, 48, Options(shading_inputs=True)))
-    stages = ["frame", "history", "acceleration", "connectivity", "prediction", "backward_blocks", "color_code", "warp"]
-    stages += ["hidden_parts", "background", "holes", "silhouettes", "shading", "shading_trend"]
-    assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
-    own = [name for name, spec in layers.items() if spec.group == "frame"]
-    assert own[: len(FRAME_LAYERS) - 1] == [name for name in FRAME_LAYERS if name != "gae"]  # it is "final"
-    assert "history.static_threshold_squared" not in layers  # no image
-    layers = layers_of(
-        Pipeline(device, 64, 48, Options(shading_inputs=True, scn_model=constant_model(tmp_path / "m.onnx")))
-    )
-    stages[-1:] = ["network_input", "shading_trend", "shading_flow", "correction"]
-    assert list(dict.fromkeys(spec.group for spec in layers.values())) == stages
-    assert list(layers)[: len(FRAME_LAYERS)] == list(FRAME_LAYERS)
-    assert {"network_input.frames", "correction.refined", "correction.focus_mask"} <= set(layers)
-    assert not {"network_input.median_depth", "shading_flow.products"} & set(layers)
-
-
 def test_layers_do_not_depend_on_what_is_kept(device):
     pipeline = Pipeline(device, 64, 48, Options(shading_inputs=True))
     layers = layers_of(pipeline)
@@ -204,10 +185,6 @@ def test_damaged_settings_fall_back(damage):
     assert Display.from_dict({"high": 7} | damage) == Display(high=7.0)
 
 
-def test_settings_that_are_no_dictionary():
-    assert Display.from_dict([1, 2]) == Display()
-
-
 # ---- ranges --------------------------------------------------------------------------------------------
 
 
@@ -242,18 +219,6 @@ def test_range_shows_the_few_that_differ():
     values[50, :5] = 1  # a rare value of a code
     made = ranged(BY_NAME["shading.input_mask"], values)
     assert (made.low, made.high) == (0, 1)
-
-
-@pytest.mark.parametrize("width", [512, 640, 1000])
-def test_samples_are_few_and_from_all_columns(width, monkeypatch):
-    seen = []
-    quantile = np.quantile
-    monkeypatch.setattr(np, "quantile", lambda values, at: (seen.append(len(values)), quantile(values, at))[1])
-    across = np.broadcast_to(np.arange(1, width + 1, dtype=np.float32), (800, width))
-    made = ranged(DEPTH, across)
-    assert max(seen) <= 65536
-    assert made.low == pytest.approx(0.01 * width, abs=0.01 * width)
-    assert made.high == pytest.approx(0.99 * width, rel=0.01)
 
 
 def test_motion_scale_is_a_high_quantile_of_length():
@@ -300,12 +265,6 @@ def test_plane_is_ranged_on_its_own():
     assert ranged(spec, image, Display(plane=1)).low > 5
 
 
-def test_displays_of_shading_correction():
-    mask, frames = BY_NAME["correction.focus_mask"], BY_NAME["network_input.frames"]
-    assert (default_display(mask).low, default_display(mask).high) == (0, 1) == mask.limits
-    assert (frames.planes, frames.grid, default_display(frames).color_map) == (8, "network", "gray")
-
-
 # ---- geometry ------------------------------------------------------------------------------------------
 
 
@@ -324,14 +283,6 @@ def test_own_place_in_the_target_seen_through_a_window():
     scale_x, scale_y, offset_x, offset_y = frame.own_place(BY_NAME["prediction.target_position"])
     assert (0.4 * scale_x + offset_x, 0.55 * scale_y + offset_y) == pytest.approx((100, 80))
     assert frame.own_place(BY_NAME["background.px_1"]) == (100, 80, 0, 0)
-
-
-@pytest.mark.parametrize("size", [(61, 37), (64, 32), (1, 5)])
-def test_texels_of_the_network_cover_two_pixels_each_way(size):
-    padded = BufferSpec("", np.float32, (), "network", "").size(Sizes(size, size))
-    area = FrameInfo(size).area(BY_NAME["network_input.frames"])
-    assert area == pytest.approx((0, 0, size[0] / 2 / padded[0], size[1] / 2 / padded[1]))
-    assert FrameInfo(size).area(BY_NAME["shading_flow.candidates"]) == pytest.approx(area)
 
 
 # ---- colors, legends, texts ---------------------------------------------------------------------------

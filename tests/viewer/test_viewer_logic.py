@@ -17,7 +17,7 @@ from PIL import Image
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.layers import LayerSpec
-from gffe_cl.viewer.engine.figures import REGIONS, Timings
+from gffe_cl.viewer.engine.figures import Timings
 from gffe_cl.viewer.engine.messages import Frame, Key, Recipe, Setup
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import View
@@ -30,7 +30,6 @@ from gffe_cl.viewer.window.commands import slot_of
 from gffe_cl.viewer.window.picture import short
 from gffe_cl.viewer.window.plot import scale_of
 from gffe_cl.viewer.window.running import dispatch
-from gffe_cl.viewer.window.studies import with_room
 
 cases = settings(deadline=None, max_examples=100)
 
@@ -234,24 +233,6 @@ def test_axis_of_the_plot_has_room_and_a_few_round_numbers(least, more):
     assert all(low <= level <= high for level in levels) and len(set(texts)) == len(texts)
 
 
-def test_nothing_counts_as_shown_that_was_not_delivered():
-    playback = Playback(10, 10.0, 0)
-    playback.play()
-    for now in range(0, 65):  # nothing comes: the first slot stays asked for in "every frame", not in real time
-        assert playback.tick(now / 20, None) == (now // 2 % 10, None)
-    assert (playback.shown, playback.dropped, playback.due, playback.waiting) == (0, 0, 33, 33)
-    playback.mode = EVERY_FRAME
-    assert [playback.tick(4 + i, None).request for i in range(3)] == [2, 2, 2]
-    assert [playback.tick(7 + i, 2).request for i in range(2)] == [3, 3]
-    playback.mode = REAL_TIME
-    for now in range(40):  # the engine hangs: the slot shown comes round again, and is what is due
-        playback.tick(8.0 + now / 20, 2)
-    assert playback.shown == 1 + 2 and playback.due == playback.shown + playback.dropped + playback.waiting
-    playback.speed = 3.0  # each third slot: in 9 laps the one shown is due at a tick every third time
-    assert {playback.tick(9.95 + now / 10, 2).request for now in range(32)} == set(range(10))
-    assert playback.shown == 3 + 3
-
-
 def test_speed_and_stalls():
     playback = Playback(1000, 10.0, 0)
     playback.speed = 0.01
@@ -318,19 +299,6 @@ def test_points_push_each_other_out():
     assert (playback.in_point, playback.out_point, playback.first, playback.last) == (None, 2, 0, 2)
     playback.clear_points()
     assert (playback.first, playback.last) == (0, 9)
-
-
-@pytest.mark.parametrize("mode", MODES)
-def test_points_set_while_playing(mode):
-    playback = Playback(10, 10.0, 0)
-    playback.mode = mode
-    assert list(played(playback, [0.1] * 3))[-1][1] == 3
-    playback.set_in(6)
-    playback.set_out(7)
-    assert playback.playing and [playback.tick(1000.3, 3).request for _ in range(2)] == [6, 6]
-    assert playback.due == playback.shown + playback.dropped + 1
-    later = [playback.tick(1000.35 + i / 10, None).request for i in range(3)]
-    assert later == ([6, 7, 6] if mode == REAL_TIME else [6, 6, 6])  # not delivered
 
 
 def test_scrubbing_stands_still_and_stays_paused():
@@ -437,13 +405,6 @@ def test_shortcuts_are_read(text, modifiers, key):
     assert parse_shortcut(text) == (modifiers, key)
 
 
-@pytest.mark.parametrize("text", ["", "Ctrl+", "Ctrl", "Hyper+X", "O+Ctrl", "Leftt", "F25", "ctrl+O"])
-def test_nonsense_shortcuts_are_refused(text):
-    with pytest.raises(ValueError, match="expected Ctrl, Alt, Shift, Super, and a key") as info:
-        parse_shortcut(text)
-    assert repr(text) in str(info.value)
-
-
 def test_every_key_is_one_of_imgui():
     assert [name for name in IMGUI_KEYS if not hasattr(imgui.Key, name)] == []
     assert {"A", "0", "F12", "Space", "/", "Left", "Escape"} <= set(IMGUI_KEYS.values())
@@ -509,25 +470,6 @@ def test_duplicates_are_refused():
         assert all(word in str(info.value) for word in words) and len(actions) == 2
     actions.register(Action("other", "Other", "Group", "F1", print))
     assert actions.dispatch({"Ctrl"}, "O") == "open"
-
-
-def test_groups_and_the_table_of_shortcuts():
-    actions = Actions("app")
-    for id, label, group, shortcut, more in (
-        ("open", "Open …", "File", "Ctrl+Shift+O", {}),
-        ("play", "Play", "Playback", "Space", {"also": ("K",)}),
-        ("flip", "Reference", "Playback", "R", {"release": print}),
-        ("quit", "Quit", "File", "", {}),
-        ("about", "About", "Help", "", {}),
-    ):
-        actions.register(Action(id, label, group, shortcut, print, **more))
-    grouped = {group: [a.id for a in found] for group, found in actions.grouped().items()}
-    assert grouped == {"File": ["open", "quit"], "Playback": ["play", "flip"], "Help": ["about"]}
-    assert actions.shortcut_table() == [
-        ("File", [("Ctrl+Shift+O", "Open …")]),
-        ("Playback", [("Space or K", "Play"), ("hold R", "Reference")]),
-    ]
-    assert actions["open"].shortcut == "Ctrl+Shift+O"
 
 
 def test_search():
@@ -596,29 +538,6 @@ def test_damaged_settings_cost_only_themselves(scratch, damage, unknown):
         assert warning is not None and all(name in warning for name in damage)
     assert loaded.save(path) is None
     assert Settings.load(path) == (loaded, None)
-
-
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("ui_scale", [-1, 9, True, "2", None, float("nan"), 10**400]),
-        ("window_size", [[800], [0, 600], [1e3, 600.5], [800, 99999], [True, 600], "ab", {}]),
-        ("theme", ["blue", ["dark"], None]),
-        ("layout", [-1, 1.5, True]),
-        ("recent", ["/a", {"/a": 1}]),
-        ("panels", [[True], {"timings": 1}]),
-        ("displays", [[1], {"final": 3}]),
-    ],
-)
-def test_wrong_types_have_their_defaults(tmp_path, name, values):
-    path = tmp_path / "viewer.json"
-    for value in values:
-        path.write_text(json.dumps({name: value, "playback": {"speed": 2}}))
-        loaded, warning = Settings.load(path)
-        assert loaded == Settings(playback={"speed": 2}) and warning.endswith(name)
-    path.write_text(json.dumps({"panels": {"a": 1, "b": True}, "recent": ["/a", 3, "/a", ""]}))
-    loaded, warning = Settings.load(path)
-    assert (loaded.panels, loaded.recent) == ({"b": True}, ["/a"]) and warning.endswith("some of panels")
 
 
 @cases
@@ -707,29 +626,6 @@ def test_png(tmp_path, channels):
     save_png(tmp_path / "a.png", image)
     np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), image)
     assert os.listdir(tmp_path) == ["a.png"]
-
-
-@pytest.mark.limits
-def test_png_faults(tmp_path):
-    assert "No such file" in fault(tmp_path / "none" / "a.png", save_png, noise(2, 2))
-    (tmp_path / "folder.png").mkdir()
-    assert "folder" in fault(tmp_path / "folder.png", save_png, noise(2, 2))
-    for wrong in (noise(2, 2)[..., :2], noise(2, 2)[..., 0], noise(2, 2).astype(np.float32), noise(0, 2), None):
-        assert "expected (H, W, 3 or 4) uint8" in fault(tmp_path / "a.png", save_png, wrong)
-    save_png(tmp_path / "a.png", noise(2, 2))
-    with limited(1000):
-        assert "File too large" in fault(tmp_path / "a.png", save_png, noise(64, 64))
-    np.testing.assert_array_equal(np.asarray(Image.open(tmp_path / "a.png")), noise(2, 2))
-
-
-@pytest.mark.limits
-def test_a_full_disk_keeps_the_old_settings(tmp_path):
-    path = tmp_path / "viewer.json"
-    Settings(theme="light").save(path)
-    with limited(100):
-        warning = Settings(recent=["/" + "x" * 500]).save(path)
-    assert "cannot be saved" in warning and os.listdir(tmp_path) == ["viewer.json"]
-    assert Settings.load(path) == (Settings(theme="light"), None)
 
 
 def layers():
@@ -862,12 +758,6 @@ def test_zooming_in_goes_to_the_picked_pixel_if_it_is_seen():
         Framing(view).zoom_in((100, 100), picked)
         assert view.center == center
     assert view.zoom == 16.0
-
-
-def test_an_ablation_keeps_the_movers_where_there_is_little_room():
-    assert with_room(list(REGIONS), 1) == ["dynamic"]
-    assert with_room(list(REGIONS), 3) == ["out of screen", "disoccluded", "dynamic"]
-    assert with_room(["rest", "focus"], 1) == ["focus"] and with_room(list(REGIONS), 9) == list(REGIONS)
 
 
 def test_a_chord_whose_modifier_is_let_go_in_the_frame_of_its_key():

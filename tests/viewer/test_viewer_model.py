@@ -20,9 +20,7 @@ from gffe_cl import OPTIONS, Options
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.program import kernel_folder
-from gffe_cl.engine.options import Option
 from gffe_cl.lab.metrics import to_display
-from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.state.captions import value_text
 from gffe_cl.viewer.state.document import Doctor
@@ -127,25 +125,6 @@ def test_a_picture_of_another_slot_or_setting_is_not_current(session):
         model.set("hole_filling", "none")
         session.until(lambda: model.contents.result.setup == model.setup)
         assert model.current and not model.pointing.shows_values
-
-
-def test_nothing_of_the_sequence_before_is_counted_as_there(session, tmp_path):
-    """Its cached slots are not those of the opened one."""
-    model = session.model
-    session.until(lambda: model.document.ahead.cached)
-    with session.engine_waiting():
-        model.opened(model.source)
-        assert model.document.ahead.cached == frozenset()
-
-
-def test_each_layer_that_is_written_is_counted(session, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    model, seen = session.model, set()
-    model.saving.start(LayersWork)
-    work = model.saving.work
-    session.until(lambda: seen.add((work.done, work.total)) or model.saving.work is None)
-    assert work.done == work.total == len(list(work.path.iterdir())) > 5, seen
-    assert model.saving.saved == work.path and str(work.path) in model.messages[-1].text
 
 
 def test_the_folder_of_what_is_saved_is_chosen(session, tmp_path):
@@ -279,16 +258,6 @@ def test_holding_b_has_b_read_back(session):
     assert model.comparison.shown().a == "final"
 
 
-def test_metrics_of_other_kernels_are_forgotten(session):
-    model = session.model
-    model.metrics[1] = Figures({"psnr": 30.0})
-    session.frame()
-    assert 1 in model.metrics
-    model.engine._kernels.identity += " and another one"
-    session.frame()
-    assert model.metrics == {}
-
-
 def computed(session):
     """Whether shading correction is in what is shown."""
     session.settle()
@@ -419,23 +388,6 @@ def test_modules_and_parameters_come_from_the_descriptions(session):
     assert "overscan" in parameters.why_not("window") and "built-in scene" in parameters.why_not("scene_window")
 
 
-def test_a_module_that_is_usually_off_can_be_switched_on(monkeypatch):
-    """... whatever its kind is: nothing in the viewer knows a single option."""
-    options = [
-        Option("a", False, "a", off=False),
-        Option("b", "none", "b", kind=str, choices={"none": "", "x": ""}, off="none"),
-        Option("c", 0, "c", kind=int, low=0, high=4, off=0),
-    ]
-    parameters = Parameters(Options(), Playback())
-    held = {option.name: option.default for option in options}
-    monkeypatch.setattr("gffe_cl.viewer.state.parameters.ALL", {option.name: option for option in options})
-    monkeypatch.setattr(parameters, "value", held.get)
-    monkeypatch.setattr(parameters, "set", held.__setitem__)
-    for option, on in zip(options, (True, "x", 1), strict=True):
-        parameters.switch(option.name, True)
-        assert held[option.name] == on and parameters.is_on(option.name)
-
-
 def test_numbers_of_the_palette():
     threshold, levels = ALL["static_threshold"], ALL["levels"]
     assert parsed(threshold, " auto ") is None and parsed(threshold, "1,5") == 1.5 and parsed(levels, "3") == 3
@@ -553,15 +505,6 @@ def test_only_generated_frames_are_shown_while_it_plays(session):
     model.playback.seek(2)
     session.settle()
     assert model.contents.result.slot == 2
-
-
-def test_values_stay_at_the_picked_pixel(session):
-    model = session.model
-    model.pointing.pick((3, 4))
-    model.pointing.hover((7.5, 5.5))
-    session.until(lambda: model.pointing.inspection is not None and model.pointing.pinned is not None)
-    session.settle()
-    assert (model.pointing.pinned.pixel, model.pointing.inspection.pixel) == ((3, 4), (7, 5))
 
 
 def test_a_picture_under_way_is_stopped_and_gone_on_with(session):

@@ -8,7 +8,6 @@ from types import SimpleNamespace
 import pytest
 
 from gffe_cl import Options
-from gffe_cl.engine.options import OPTIONS
 from gffe_cl.viewer.engine.messages import Setup
 from gffe_cl.viewer.state.presets import Kept, KeptSettings, command_line
 
@@ -67,26 +66,6 @@ def test_the_command_line_of_a_scene(monkeypatch):
     assert str(found["target"]) == "corridor" and found["window"] == "adaptive"
     assert found["live"]["--size"] == "320x180" and found["live"]["--seed"] == 7
     assert "--window" not in command_line(Setup(Options(), "off"), scene, 0)
-
-
-def test_every_option_with_a_flag_is_told():
-    """... but where it has the default, or belongs to a network that does not run."""
-    changed = {"static_threshold": 2.0, "shading_correction": True, "scn_model": "a.onnx", "scn_provider": "cuda"}
-    for name, option in OPTIONS.items():
-        if not option.flag:
-            continue
-        other = changed.get(name)
-        if other is None:
-            other = (
-                not option.default
-                if option.kind is bool
-                else next(choice for choice in option.choices if choice != option.default)
-                if option.choices
-                else option.low
-                if option.default != option.low
-                else option.low + 1
-            )
-        assert option.words(option.default) == [] != option.words(other)
 
 
 def test_kept_settings_are_saved_and_found_again():

@@ -220,19 +220,6 @@ def test_what_is_shown_last_from_the_playhead_on_goes_first():
     assert store.slots(recipe(), FINAL) == {7, 8, 9, 0}
 
 
-def test_other_recipes_go_first_and_the_one_used_longest_ago_first_of_all():
-    store = store_of(4)
-    for name, slot in (("a", 0), ("b", 0), ("a", 1), ("b", 1)):
-        put(store, want(slot, name=name))
-    store.get(want(0, name="a"))
-    store.use({recipe("c")}, Playhead(0, 0, 9))
-    assert put(store, want(9, name="c")) and put(store, want(8, name="c"))
-    assert (store.slots(recipe("a"), FINAL), store.slots(recipe("b"), FINAL)) == ({0, 1}, frozenset())
-    put(store, want(7, name="c"))
-    assert len(store.slots(recipe("a"), FINAL)) == 1 and store.slots(recipe("c"), FINAL) == {7, 8, 9}
-    assert not put(store, want(5, name="b"), 2 * BYTES + 4096)  # b is not looked at
-
-
 def test_stretches_of_slots():
     assert runs(frozenset()) == [] and runs(frozenset({3})) == [(3, 4)]
     assert runs(frozenset({7, 0, 1, 2, 5})) == [(0, 3), (5, 6), (7, 8)]
@@ -442,12 +429,3 @@ def test_the_render_rate_of_a_flight(session):
     model.set("render_rate", "scene")
     session.until(lambda: model.source.fps == 30.0 and model.document.plan.fps is None)
     assert not model.flying and model.n == 1
-
-
-def test_frames_leave_room_for_what_is_held_elsewhere():
-    store = store_of(10)
-    assert all(put(store, want(slot)) for slot in range(8))
-    store.leave(7 * (BYTES + 4096))
-    assert len(store.slots(recipe(), FINAL)) == 3 == store.room(BYTES + 4096)
-    store.leave(store.most + 1)
-    assert store.nbytes == 0 == store.room(1)

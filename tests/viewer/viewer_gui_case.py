@@ -42,7 +42,6 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     import viewer_gui_driver as driver
     import viewer_gui_looking as looking
     import viewer_gui_opening as opening
-    import viewer_gui_playing as playing
     import viewer_gui_settings as settings_cases
 
     from gffe_cl.engine.inference import network
@@ -57,7 +56,7 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     model = Model(settings, plan=ScenePlan(160, 90, 0))
     assert warning is None, warning
     model.open(str(folder / "small"))
-    cases = playing.CASES | looking.CASES | opening.CASES | settings_cases.CASES | doing.CASES
+    cases = looking.CASES | opening.CASES | settings_cases.CASES | doing.CASES
     cases = {name: case for name, case in cases.items() if name in only or not only}
     report = folder / f"{phase}.json"
     with leaving(model):

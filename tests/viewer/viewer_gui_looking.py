@@ -7,52 +7,8 @@ from imgui_bundle import imgui
 from viewer_gui_driver import KEY, Gui, collector
 
 from gffe_cl.lab.metrics import to_display
-from gffe_cl.viewer.window import status
 
 CASES, case = collector()
-
-
-@case
-def layers(gui: Gui):
-    """A layer is chosen by its row and by keys; over it lies an overlay."""
-    model, values = gui.model, gui.values
-    names = [spec.name for spec in model.contents.layers]
-    values["clicked"], rows = [], gui.ctx.window_info("//Layers/###layers").window
-    values["layers"] = wanted = ["frame.filled_by", names[-1], "history.dynamic_mask"]
-    for name in wanted:
-        gui.ctx.set_ref(rows)
-        gui.click(f"###group {model.contents.spec(name).group}/###{name}")
-        gui.settle()
-        values["clicked"].append(model.view.a)
-    gui.ctx.set_ref("")
-    values["ends"] = [names[0], names[-1], names[-2]]
-    model.show_layer(names[-1])
-    values["by keys"] = []
-    for key in (KEY.down_arrow, KEY.up_arrow, KEY.up_arrow):
-        gui.key(key)
-        gui.settle()
-        values["by keys"].append(model.view.a)
-    gui.choose("//Layers/###overlay", "edges")
-    gui.settle()
-    values["overlay"] = model.view.overlay
-
-
-@case
-def inspector(gui: Gui):
-    """Values under the pointer: in the status bar, and of one line each."""
-    model, values = gui.model, gui.values
-    gui.point(*gui.at(190.5, 106.5))
-    gui.wait(lambda: model.pointing.inspection and model.pointing.inspection.pixel == (190, 106), "an inspection")
-    values["heights"], values["status"] = [], status.parts(model)[-1]
-    for value in ("R 0  G 0  B 0", "R 0.009723  G 0.009723  B 0.009723"):
-        rows = [row._replace(value=value) for row in gui.app.inspected[1] if row.is_color]
-        gui.app.inspected = model.pointing.inspection, rows
-        gui.frames(3)
-        window = gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector"))
-        values["heights"].append(window.content_size.y)
-    gui.point(5, 5)
-    gui.frames(3)
-    values["left"] = model.pointing.inspection is None
 
 
 @case

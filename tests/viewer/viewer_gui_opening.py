@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 import time
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 from imgui_bundle import imgui
@@ -75,7 +76,8 @@ def doctor(gui: Gui):
     gui.wait(lambda: model.document.doctor is not None and model.document.doctor.done, "the doctor")
     gui.frames(3)
     values["said"] = [str(finding) for finding in model.document.doctor.findings]
-    model.document.doctor.marks = {3: "does not follow the frame before it"}
+    marks = {3: "does not follow the frame before it"}
+    model.document.doctor = SimpleNamespace(done=True, findings=[], marks=marks, problem="", converts=False)
     left, top, width, height = map(int, gui.area("//Timeline/###scrub"))
     gui.frames(2)
     column = gui.window()[top : top + height, left + round(width * 3 / model.playback.count)].astype(int)
@@ -160,6 +162,7 @@ def flying(gui: Gui):
             model.contents.result.moment.render_camera.intrinsics
             != model.contents.result.moment.display_camera.intrinsics
         )
+    gui.point(left + width / 2 + 120, top + height / 2)  # by how much it is turned in all
     gui.ctx.mouse_up(1)
     gui.ctx.key_up(KEY.w.value)
     gui.frames(2)

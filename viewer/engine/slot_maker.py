@@ -22,6 +22,7 @@ from gffe_cl.engine.inspection.buffers import (
     Moment,
     Shot,
     device_layers,
+    moved,
     pixel_values,
     read_layers,
     source_position,
@@ -360,7 +361,12 @@ class SlotMaker:
         pipeline, shot = seeker.pipeline, seeker.shot
         assert pipeline is not None and self.key is not None  # as there is a shot
         values = pixel_values(pipeline, shot, x, y)
-        fault = _fault_at(seeker.invalid, source_position(pipeline, shot, x, y))
+        at, moment = source_position(pipeline, shot, x, y), shot.moment
+        fault = _fault_at(seeker.invalid, at)
+        shown = moved((x + 0.5, y + 0.5), moment.display_camera, moment.render_camera)
+        for found, px in ((values.here, shown), (values.origin, at if moment.alpha else None)):
+            if (texel := _texel_at(seeker.invalid, px)) is not None:
+                found[INVALID.name] = texel
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
             values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
@@ -416,10 +422,16 @@ def _invalid_pixels(host: RenderedFrame, found: BadPixels) -> np.ndarray:
     return mask
 
 
+def _texel_at(mask: np.ndarray | None, px: tuple[float, float] | None) -> np.ndarray | None:
+    """Return the (1,) value of a mask at this position, pixels; None outside, and without a mask or a position."""
+    if mask is None or px is None:
+        return None
+    x, y = int(np.floor(px[0])), int(np.floor(px[1]))
+    return mask[y, x : x + 1] if 0 <= x < mask.shape[1] and 0 <= y < mask.shape[0] else None
+
+
 def _fault_at(mask: np.ndarray | None, px: tuple[float, float] | None) -> str:
     """Return what is wrong with the pixel of a mask at this position, pixels; empty for a valid one, and outside."""
-    if mask is None or px is None:
-        return ""
-    x, y = int(np.floor(px[0])), int(np.floor(px[1]))
-    bits = int(mask[y, x]) if 0 <= x < mask.shape[1] and 0 <= y < mask.shape[0] else 0
+    texel = _texel_at(mask, px)
+    bits = 0 if texel is None else int(texel[0])
     return "; ".join(text for bit, text in enumerate(_FAULTS.values()) if bits >> bit & 1)
