@@ -30,7 +30,7 @@ from gffe_cl.cli.common import (
     write_json,
 )
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import VIDEOS, is_video, require_output_file
+from gffe_cl.engine.core.files import VIDEOS, require_output_file
 from gffe_cl.engine.core.validation import require_choice
 from gffe_cl.engine.options import OPTIONS
 
@@ -254,11 +254,6 @@ def open_source(
         raise GffeError(f"{given[0]} is for built-in scenes ({scene_names()}), {sequence} is none")
     if not sequence.exists() and sequence.name == str(sequence):
         raise GffeError(f"{sequence}: no such folder, and no built-in scene (there is: {scene_names()})")
-    if is_video(sequence) and sequence.is_file():
-        raise GffeError(
-            f"{sequence}: a video has no depth, motion vectors and cameras (expected a capture with these, see `gffe"
-            " formats`)"
-        )
     recorded, chosen = open_capture(sequence), opened()
     return chosen, Recorded(recorded, chosen, window, upscale)
 

@@ -247,7 +247,8 @@ def test_baseline_of_a_windowed_sequence_is_its_display_part(gffe, tmp_path):
 
 def test_render_and_devices(gffe, tmp_path):
     out = tmp_path / "scene"
-    assert gffe("render", "corridor", out, "--size", "33x21", "--frames", 2, "--ground-truth", "--seed", 4)[0] == 0
+    words = ("--size", "33x21", "--frames", 2, "--ground-truth", "--seed", 4)
+    assert gffe("render", "corridor", out, *words)[:2] == (0, f"4 frames in {out}\n")
     made = open_sequence(out)
     assert (made.width, made.height) == (33, 21)
     assert [len(made.rendered), len(made.ground_truth)] == [2, 2]

@@ -47,8 +47,8 @@ def ran(program, out, *words, **environment):
 
 
 def test_frames_gain_over_repeating(program, tmp_path):
-    found = ran(program, tmp_path, "--frames", "8")
-    assert found.returncode == 0, found.stderr
+    found = ran(program, tmp_path, "--frames", "8", "--compare")
+    assert found.returncode == 0 and found.stdout.endswith("copied in both ways\n"), found.stderr
     repeated, generated = map(float, re.findall(r"(\d+\.\d+) dB", found.stdout))
     assert "buffers are copied" in found.stdout and generated > repeated + 1
     for name in ("rendered", "generated", "truth"):

@@ -11,9 +11,6 @@ import pytest
 import tiny_sequence
 from scn_models import constant_model
 
-from gffe_cl.captures.offline.source import Recorded
-from gffe_cl.captures.sequence import open_sequence
-from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import open_device
@@ -120,25 +117,6 @@ def test_a_part_sees_what_the_whole_does():
     assert shown.part(100, 100, (0.5, 0.5)).frames[0].color.shape == (48, 64, 3)
     reset = replace(shown, frames=tuple(replace(frame, motion=None) for frame in shown.frames))
     assert reset.part(20, 16, (0.5, 0.5)).frames[0].motion is None
-
-
-def test_loops_avoid_resets(tmp_path):
-    sequence = open_sequence(tiny_sequence.write(tmp_path / "in", frames=12))
-
-    def loop(number=None):
-        return inputs._loop(Recorded(sequence, None), number)
-
-    assert loop() == (3, 9) and loop(1) == (0, 6) and loop(11) == (6, 12)
-    for number in (0, 12, -1):
-        with pytest.raises(GffeError, match=rf"--frame {number}: expected a rendered frame"):
-            loop(number)
-    sequence.frames[:] = [replace(entry, reset=entry.file == sequence.rendered[5].file) for entry in sequence.frames]
-    assert loop(6) == (5, 11) and loop(4) == (0, 5)
-    with pytest.raises(GffeError, match="and no reset"):
-        loop(5)
-    sequence.frames[:] = [replace(entry, reset=True) for entry in sequence.frames]
-    with pytest.raises(GffeError, match="no rendered frame follows another one"):
-        loop()
 
 
 def test_enlarging_keeps_planes_and_edges():

@@ -13,6 +13,7 @@ from gffe_cl.captures.sequence.output_folder import PART, why_unfinished
 from gffe_cl.captures.sequence.reader import Sequence, open_sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import follow_links as following
+from gffe_cl.engine.core.files import is_video
 from gffe_cl.engine.core.validation import require_path
 
 
@@ -79,6 +80,9 @@ def open_capture(path: str | os.PathLike[str], *, follow_links: bool | None = No
 def _opened(path: Path) -> Sequence:
     place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
     try:
+        if is_video(path) and path.is_file():
+            needed = "expected a capture with these, see `gffe formats`"
+            raise GffeError(f"{path}: a video has no depth, motion vectors and cameras ({needed})")
         if not place.is_dir():
             return open_sequence(path)
         described = place / FILE_NAME

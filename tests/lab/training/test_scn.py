@@ -19,7 +19,7 @@ from gffe_cl.lab.training import losses, network  # noqa: E402
 from gffe_cl.lab.training import training as training_module  # noqa: E402
 from gffe_cl.lab.training.augmentation import Augmentation, low_pass  # noqa: E402
 from gffe_cl.lab.training.data import Batch, Crop, CropReader, focus_truth, list_crops  # noqa: E402
-from gffe_cl.lab.training.export import count_operations, differences, export_onnx  # noqa: E402
+from gffe_cl.lab.training.export import differences, export_onnx  # noqa: E402
 from gffe_cl.lab.training.training import CHECKPOINT, Recipe, Training, split_crops, weights  # noqa: E402
 
 read_batch = CropReader(torch.device("cpu")).batch
@@ -57,12 +57,6 @@ def test_composition():
     correction[:, 3] = 0.0  # without detail, neighbors are equal but for what is between them at half resolution
     plain = network.compose(color, correction)[0]
     assert plain[..., :20].std() < 0.8 * final[..., :20].std()
-
-
-def test_network_is_within_its_limits():
-    parameters, operations = count_operations(network.ShadingCorrectionNetwork(), 1920, 1080)
-    assert parameters <= 1_000_000
-    assert 1 < operations <= 24
 
 
 def test_training_begins_with_another_network_s_weights():
@@ -199,7 +193,7 @@ def test_trends_are_what_the_stage_finds():
 # ---- training ------------------------------------------------------------------------------------------
 
 RECIPE = Recipe(seed=3, steps=16, batch=4, learning_rate=3e-3, final_learning_rate=1e-3, full_every=8)
-CLIPS = 3
+CLIPS = 2
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -214,7 +208,7 @@ def small():
 
 @pytest.fixture(scope="module")
 def data(tmp_path_factory, opened, small):
-    """Three small clips, and their folder."""
+    """Small clips, and their folder."""
     folder = tmp_path_factory.mktemp("training")
     assert data_module.make_clips(folder, opened, 3, CLIPS) == CLIPS
     return folder
