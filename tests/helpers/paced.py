@@ -22,7 +22,7 @@ class _Plan(ct.Structure):
     _fields_ = [*((name, ct.c_double) for name in ("refresh", "time", "alpha")), ("held", ct.c_int)]
 
 
-class _Pacing(ct.Structure):
+class Pacing(ct.Structure):
     _fields_ = [(name, ct.c_int) for name in ("rendered", "extrapolated", "held", "late", "dropped")]
     _fields_ += [("jitter", ct.c_double)]
 
@@ -41,7 +41,7 @@ def library() -> ct.CDLL | None:
     loaded.gffe_pacer_rendered.argtypes = [ct.c_char_p, ct.c_double, ct.c_int]
     loaded.gffe_pacer_plan.argtypes = [ct.c_char_p, ct.c_double, ct.POINTER(_Plan)]
     loaded.gffe_pacer_ready.argtypes = [ct.c_char_p, ct.c_double]
-    loaded.gffe_pacer_statistics.argtypes, loaded.gffe_pacer_statistics.restype = [ct.c_char_p], _Pacing
+    loaded.gffe_pacer_statistics.argtypes, loaded.gffe_pacer_statistics.restype = [ct.c_char_p], Pacing
     return loaded
 
 
@@ -77,7 +77,7 @@ class Pacer(gffe_cl.Pacer):
         told = super().statistics
         if library():
             found = library().gffe_pacer_statistics(self._c)
-            for name, _ in _Pacing._fields_[:-1]:
+            for name, _ in Pacing._fields_[:-1]:
                 assert getattr(found, name) == getattr(told, name), name
             assert found.jitter == pytest.approx(told.jitter, rel=1e-6, abs=1e-9)
         return told

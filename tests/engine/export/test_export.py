@@ -2,6 +2,7 @@
 
 import ctypes as ct
 import os
+import re
 import subprocess
 import sys
 from dataclasses import replace
@@ -12,15 +13,19 @@ import pytest
 import scn_models
 from exported import (
     INVALID,
+    OK,
     CCamera,
     CFormat,
     CFrame,
+    CImage,
+    COverlays,
     Engine,
     Failed,
     compile_library,
     load,
     require_compiler,
 )
+from paced import PACER_BYTES, Pacing
 from refused_values import TABLE, Calls, refusal
 
 from gffe_cl.captures.scenes import load_scene
@@ -527,6 +532,64 @@ def test_faults_say_what_and_what_was_expected(device, library):
     refused("needs a context and a queue", Engine, host, device, W, H, context=0)
     other = cl.Context([device.cl_device])
     refused("the queue is of another context", Engine, host, device, W, H, context=other.int_ptr)
+
+
+MAY_BE_NULL = {  # where NULL means something
+    ("gffe_destroy", "g"), ("gffe_set_format", "format"), ("gffe_set_overlays", "overlays"),
+    *((name, given) for name in ("gffe_submit", "gffe_submit_after") for given in ("motion", "display_camera")),
+    *((f"gffe_{name}_after", "done") for name in ("submit", "extrapolate", "present")),
+}  # fmt: skip
+
+
+def declarations(folder):
+    """Yield result, name and (type, name) of the parameters of every function in the exported header."""
+    text = re.sub(r"/\*.*?\*/", " ", (folder / "gffe.h").read_text(), flags=re.S)
+    for kind, name, listed in re.findall(r"^((?:const )?\w+)(?: \*| )(gffe_\w+)\(([^()]*)\);", text, re.M):
+        found = [re.fullmatch(r"\s*(?:const )?(.*?)\s*(\w+)\s*", one, re.S).groups() for one in listed.split(",")]
+        yield kind, name, found
+
+
+@pytest.mark.slow
+def test_null_for_each_pointer_is_an_invalid_argument(device, library):
+    """Of a gffe that is there, and of one that could not be made; nothing crashes."""
+    host, frame = library(DEFAULT), moving(device, 1)[0]
+    engine, failed, pacer = Engine(host, device, W, H), ct.c_void_p(), ct.create_string_buffer(PACER_BYTES)
+    context, queue = device.context.int_ptr, device.queue.int_ptr
+    assert host.gffe_create(context, queue, None, ct.byref(failed)) == INVALID and failed
+    submit(engine, replace(frame, time=-1.0))
+    marker = cl.enqueue_marker(device.queue)
+    event, done = ct.c_void_p(marker.int_ptr), ct.c_void_p()
+    good = {
+        **{"gffe *": engine.handle, "gffe **": ct.byref(ct.c_void_p()), "gffe_options *": ct.byref(engine.options)},
+        **{"gffe_camera *": ct.byref(CCamera.of(frame.camera)), "gffe_frame *": ct.byref(CFrame())},
+        **{"gffe_image *": ct.byref(CImage()), "gffe_overlays *": ct.byref(COverlays()), "gffe_pacer *": pacer},
+        **{"gffe_format *": ct.byref(CFormat.of(FrameFormat())), "gffe_paced *": ct.create_string_buffer(64)},
+        **{
+            "cl_context": context,
+            "cl_command_queue": queue,
+            "cl_mem": frame.color.int_ptr,
+            "cl_event *": ct.byref(event),
+        },
+        **{"char *": b"history.dynamic_mask", "double": 1.0, "int": 1, "cl_uint": 1},
+    }
+    types, taken, count = {"double": ct.c_double, "int": ct.c_int, "cl_uint": ct.c_uint}, set(), 0
+    for kind, name, parameters in declarations(host._folder):
+        function = getattr(ct.CDLL(host._name), name)
+        function.argtypes = [types.get(about, ct.c_void_p) for about, _ in parameters]
+        function.restype = Pacing if kind == "gffe_pacing" else ct.c_int
+        for wrong, (about, own) in enumerate(parameters):
+            for value in (None, failed) if about == "gffe *" else () if not about or about in types else (None,):
+                if name == "gffe_destroy" and value is failed:
+                    continue
+                given = [ct.byref(done) if name == "done" else good[about] for about, name in parameters]
+                given[wrong] = value
+                status, count = function(*given), count + 1
+                if kind == "gffe_status" and status != INVALID:
+                    assert status == OK, (name, own)
+                    taken.add((name, own))
+    assert count > 40 and taken == MAY_BE_NULL - {("gffe_destroy", "g")}
+    host.gffe_destroy(failed)
+    engine.destroy()
 
 
 @pytest.fixture

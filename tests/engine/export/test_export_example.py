@@ -8,7 +8,6 @@ import subprocess
 import sys
 from pathlib import Path
 
-import null_calls
 import numpy as np
 import pytest
 from exported import STRICT, require_compiler
@@ -151,18 +150,3 @@ def test_the_readme_s_commands_work_as_they_are(folder, loader, tmp_path):
     given["CMAKE_INCLUDE_PATH"] = os.environ.get("C_INCLUDE_PATH", "")
     subprocess.run(["sh", "-ec", "\n".join(commands)], cwd=copy, env=loader[1] | given, check=True, timeout=600)
     assert len(list((copy / "out").glob("*.ppm"))) == COUNT
-
-
-def test_null_for_each_pointer_is_an_invalid_argument(folder, loader, tmp_path):
-    """Of a gffe that is there, and of one that could not be made; nothing crashes."""
-    (tmp_path / "null_calls.c").write_text(null_calls.program(folder))
-    parts = [*(path for path in sources(folder) if not path.endswith("main.c")), str(tmp_path / "null_calls.c")]
-    command = ["cc", "-std=c99", "-O0", f"-I{folder}", *parts, "-o", str(tmp_path / "null_calls"), *loader[0]]
-    subprocess.run(command, check=True)
-    ran = subprocess.run([tmp_path / "null_calls"], env=loader[1], capture_output=True, text=True, timeout=120)
-    assert ran.returncode == 0, (ran.returncode, ran.stdout[-200:], ran.stderr)
-    made = {tuple(line.split()[:2]): line.split()[2] for line in ran.stdout.splitlines()}
-    assert set(made) == {(function, parameter) for function, parameter, *_ in null_calls.calls(folder)}
-    taken = {call for call, status in made.items() if status == "0"}
-    assert len(made) > 40 and taken == null_calls.MAY_BE_NULL - {("gffe_destroy", "g")}
-    assert {made[call] for call in set(made) - taken} == {"1", "-"}
