@@ -69,7 +69,7 @@ class Operation:
 
 
 @dataclass
-class Plan:
+class Launches:
     """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
     without a previous frame, and also "extrapolated", "present", "cut", "leave_out", "compose", "convert_color",
     "convert_geometry" and "convert_small"; the `buffers` by their full names, `initial` contents of those that are no
@@ -231,7 +231,7 @@ class _Rehearsal:
         self.tape.names = {id(buffer): name for name, buffer in named.items()}
 
 
-def record(device: Device, options: Options, int64: bool) -> Plan:
+def record(device: Device, options: Options, int64: bool) -> Launches:
     """Return the operations of a pipeline with these options. `int64`: whether keys take 64-bit atomics.
 
     Raises GffeError where that depends on the size of images or changes from frame to frame, with the detection of user
@@ -252,7 +252,7 @@ def record(device: Device, options: Options, int64: bool) -> Plan:
         for spec in owner.buffers
     }
     lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.memory.lent}
-    return Plan(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
+    return Launches(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
 def _require_agreement(takes: list[list[Operation]]) -> list[Operation]:

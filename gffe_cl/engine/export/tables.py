@@ -9,7 +9,7 @@ from dataclasses import fields
 import numpy as np
 
 from gffe_cl.engine.core import validation
-from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Operation, Plan
+from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Launches, Operation
 from gffe_cl.engine.frame import camera, frame_format
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
 from gffe_cl.engine.inference.layers import MULTIPLE
@@ -134,7 +134,7 @@ def config(options: Options) -> str:
 class Tables:
     """Text of gffe_tables.c from two plans: without and with 64-bit atomics."""
 
-    def __init__(self, plans: tuple[Plan, Plan]):
+    def __init__(self, plans: tuple[Launches, Launches]):
         self.plans = plans
         self.launched = sorted(
             {
@@ -197,7 +197,7 @@ class Tables:
 
     # ---- plans -----------------------------------------------------------------------------------------
 
-    def _plan(self, number: int, plan: Plan) -> str:
+    def _plan(self, number: int, plan: Launches) -> str:
         buffers = _Buffers(plan)
         rows = [buffers.row(name) for name in buffers.names]
         parts = [_table("gffe_buffer", f"buffers_{number}", rows, static=True)]
@@ -262,7 +262,7 @@ class _Buffers:
     """The plan's buffers in C: those that launches name, those for callers, and memory that contains them. Parts
     come after their wholes."""
 
-    def __init__(self, plan: Plan):
+    def __init__(self, plan: Launches):
         self.plan = plan
         named = {
             name.removesuffix("'")
@@ -374,7 +374,7 @@ def _field(
     return f'"{name}", offsetof(gffe_format, {name}){place}, GFFE_{kind}, {usual}, {least}, {most}, {types}, {of}'
 
 
-def _facts(plan: Plan) -> bytes:
+def _facts(plan: Launches) -> bytes:
     """Return a frame block with the values that depend neither on the frame nor on the size."""
     block = np.zeros((), FRAME)
     for name in plan.facts.keys() - {"level_starts"}:

@@ -119,7 +119,7 @@ def _checked_time(time: Any, after: float, interval: float) -> tuple[float, floa
     return time, alpha
 
 
-class Display:
+class DisplayedFrames:
     """Display of a pipeline's rendered `frames`. `presentation` is the stage that resamples them, None until a frame
     needs it."""
 

@@ -24,7 +24,7 @@ from gffe_cl.engine.frame.frame_format import FrameFormat, require_render_size
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame
 from gffe_cl.engine.opencl.device import Device, adopted_events, marker, wait_for_all
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.frames import Display, RenderedFrames, checked_moment
+from gffe_cl.engine.pipeline.frames import DisplayedFrames, RenderedFrames, checked_moment
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.outputs import Outputs, board_of
 from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
@@ -125,7 +125,7 @@ class Pipeline(Unique):
         self.correcting: Correcting | None = None  # the last new frame, if a thread works on it beside the device
         self._outputs = Outputs(self.board, self.stages)
         self.frames = RenderedFrames(self.board, self.fps)
-        self.display = Display(self.board, self.frames)
+        self.display = DisplayedFrames(self.board, self.frames)
         self.intake.begin(self.board)
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 

@@ -9,7 +9,7 @@ import numpy as np
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import Shot, around, device_layers, least, moved, read_blocks, told
-from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step, Story
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Claim, Link, Story
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.history import FIXED_TO_CAMERA, STATIC
@@ -92,48 +92,48 @@ def _fragment_sentences(pipeline, shot, depth, motion, label, test, used) -> tup
     if not depth > 0:
         return (f"Its depth ({depth:g}) is invalid, so nothing of it is splatted.",)
     if depth == np.inf:
-        return (Step("Sky turns with the camera.", mask),)
+        return (Claim("Sky turns with the camera.", mask),)
     if not pipeline.options.motion:
-        return (Step("Motion estimation is off: everything counts as static.", mask),)
+        return (Claim("Motion estimation is off: everything counts as static.", mask),)
     if shot.moment.previous_camera is None:
-        return (Step("No frame before this one is known: everything counts as static.", mask),)
+        return (Claim("No frame before this one is known: everything counts as static.", mask),)
     if label == FIXED_TO_CAMERA:
         kept = (
             "Fixed to the camera: its motion keeps it where it is in view space, though a surface that stands still"
             " would have moved. It keeps its place before the new camera."
         )
-        return (Step(kept, mask),)
+        return (Claim(kept, mask),)
     if test is None:
         why = "its motion is NaN or infinite" if not np.isfinite(motion).all() else "it was behind the camera before"
-        return (Step(f"Dynamic: {why}.", mask),)
+        return (Claim(f"Dynamic: {why}.", mask),)
     why = (
         f"its motion ({motion[0]:+.2f}, {motion[1]:+.2f}) px is {test['residual']:.2f} px from that of a surface that"
         f" stands still ({test['static_motion_x']:+.2f}, {test['static_motion_y']:+.2f}),"
         f" {'' if test['moves'] else 'not '}more than the threshold of {test['threshold']:.2f} px."
     )
-    said: list[str] = [Step(f"{'Dynamic' if test['moves'] else 'Static'}: {why}", mask)]
+    said: list[str] = [Claim(f"{'Dynamic' if test['moves'] else 'Static'}: {why}", mask)]
     if used is None:
         return tuple(said)
     positions, trust = int(used[_PREDICTED["KNOWN"]]), float(used[_PREDICTED["TRUST"]])
     if positions == 0:
         unknown = "No earlier position of it is known (hidden or out of the image then), so it stays where it is."
-        said.append(Step(unknown, Link("met depth", names.MET_DEPTH)))
+        said.append(Claim(unknown, Link("met depth", names.MET_DEPTH)))
         return tuple(said)
     how = "linearly" if positions == 1 else f"by a polynomial of order {positions}"
     predicted = f"Predicted {how} from its last {positions + 1} positions."
-    said.append(Step(predicted, Link("target position", names.TARGET_POSITION)))
+    said.append(Claim(predicted, Link("target position", names.TARGET_POSITION)))
     if used[_PREDICTED["CARRIED"]]:
         moves_on = (
             "The camera carries it: it is slower in view space than in the world, and when that began, its velocity"
             " there had changed less. So it moves on there, before the new camera."
         )
-        said.append(Step(moves_on, Link("velocity in view space", names.VIEW_VELOCITY)))
+        said.append(Claim(moves_on, Link("velocity in view space", names.VIEW_VELOCITY)))
     if used[_PREDICTED["SPINS"]]:
         turned = "It spins by more than a quarter of a turn in an interval. So it moves on as its center does."
-        said.append(Step(turned, Link("acceleration", names.ACCELERATION)))
+        said.append(Claim(turned, Link("acceleration", names.ACCELERATION)))
     if trust > 0:
         bent = f"{trust:.0%} of its acceleration counts too, by what the interval before shows of it."
-        said.append(Step(bent, Link("acceleration", names.ACCELERATION)))
+        said.append(Claim(bent, Link("acceleration", names.ACCELERATION)))
     return tuple(said)
 
 

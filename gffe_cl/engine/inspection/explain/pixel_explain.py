@@ -21,7 +21,7 @@ from gffe_cl.engine.inspection.buffers import (
 )
 from gffe_cl.engine.inspection.explain.fragment_history import Fragment
 from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
-from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step, Story
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Claim, Link, Story
 from gffe_cl.engine.inspection.explain.refusals import (
     what_was_taken,
     where_it_reappears_from,
@@ -64,7 +64,7 @@ def pixel_story(
     if fault:
         said = f"Invalid in the input: {fault}."
         start = [sentence for sentence in story.sentences if sentence != _as_it_is(shot)]
-        story = replace(story, sentences=(Step(said, *_to_source(shot, story.source)), *start))
+        story = replace(story, sentences=(Claim(said, *_to_source(shot, story.source)), *start))
     if story.fragment is None:
         return story
     own = story.fragment[0] + 0.5, story.fragment[1] + 0.5
@@ -135,7 +135,7 @@ def _with_silhouette(story: Story, values: dict[str, np.ndarray]) -> Story:
         said = "Soft silhouettes: the color of a nearer surface, which was mixed in, is taken out."
     if by_others:
         said += f" The rest is what was filled in before: {story.filled_by}."
-    return replace(story, sentences=(*story.sentences, Step(said, Link("coverage", names.COVERAGE))))
+    return replace(story, sentences=(*story.sentences, Claim(said, Link("coverage", names.COVERAGE))))
 
 
 def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
@@ -151,7 +151,7 @@ def _with_correction(story: Story, pipeline: Pipeline, values: dict[str, np.ndar
         mask += "; half of it from along the flow of the image"
     colors = (f"({', '.join(f'{float(c):.4g}' for c in color)})" for color in (before, after))
     said = f"Shading correction changed it ({mask}): from {' to '.join(colors)}."
-    step = Step(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
+    step = Claim(said, Link("focus mask", names.FOCUS_MASK), Link("before", names.GAE))
     return replace(story, corrected=True, sentences=(*story.sentences, step))
 
 
@@ -172,12 +172,12 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     where = f"({source_px[0]:.1f}, {source_px[1]:.1f}) of rendered frame {shot.moment.k}" if source_px else "nowhere"
     own = tuple(c + 0.5 for c in told.pixel) if told else source_px
     there, filled = _to_source(shot, own), Link("filled by", names.FILLED_BY)
-    start = [Step(f"Shown by its own fragment, from {where}.", *there)]
+    start = [Claim(f"Shown by its own fragment, from {where}.", *there)]
     if number == BY_CRACK_CLOSING:
         said = f"Crack closing: the fragment from {where} covers this pixel too, none lands in it."
-        start = [Step(said, *there, filled)]
+        start = [Claim(said, *there, filled)]
     elif number != BY_WARP:
-        start = [Step(f"Its color comes from: {label}.", filled)]
+        start = [Claim(f"Its color comes from: {label}.", filled)]
     if told is None:
         return Story((x, y), label, source_px, sentences=tuple(start))
     return told.story((x, y), label, source_px, tuple(start))
@@ -195,13 +195,13 @@ def _filled_by(number: int) -> str:
     return dict(FILLED_BY).get(number, f"unknown ({number})")
 
 
-def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Step, ...]:
+def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Claim, ...]:
     where = f"({source_px[0]:.1f}, {source_px[1]:.1f}) of rendered frame {shot.moment.k}" if source_px else "nowhere"
     there = _to_source(shot, source_px)
     if reached:
-        return (Step(f"It comes from {where}, with the motion of the nearest of 3×3 pixels there.", *there),)
+        return (Claim(f"It comes from {where}, with the motion of the nearest of 3×3 pixels there.", *there),)
     said = "No fragment of that frame lands here: it moves as the nearest surface beside it, or a mover that has left."
-    return Step(f"It comes from {where}.", *there), Step(said, Link("filled by", names.FILLED_BY))
+    return Claim(f"It comes from {where}.", *there), Claim(said, Link("filled by", names.FILLED_BY))
 
 
 def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, number: int) -> tuple[str, ...]:
@@ -215,8 +215,8 @@ def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, 
         said = "A part of a mover that comes out: the color it had in the frame before, with the mover's motion."
     where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
     shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
-    told: list[str | Step | None] = [
-        Step(said, Link("filled by", names.FILLED_BY)),
+    told: list[str | Claim | None] = [
+        Claim(said, Link("filled by", names.FILLED_BY)),
         f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
     ]
     if number == BY_REAPPEARING:
@@ -228,7 +228,7 @@ def _entering_sentences(shot: Shot, source_px, size: tuple[int, int]) -> tuple[s
     frame = f"rendered frame {shot.moment.k}"
     x, y = (int(min(max(at, 0), side - 1)) for at, side in zip(source_px, size, strict=True))
     return (
-        Step(
+        Claim(
             f"A part of a mover that enters: no frame has shown it, so it repeats ({x}, {y}) at the border of {frame},"
             " with the motion of the mover there.",
             Link("filled by", names.FILLED_BY),
@@ -243,12 +243,16 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], sour
     if "background" not in pipeline.stages:
         nothing = f"No fragment of rendered frame {shot.moment.k} lands here, and there is no background."
     refused = [why_no_mover(pipeline, shot, pixel), why_no_background(pipeline, shot, pixel, source_px)]
-    said: list[str | Step | None] = [Step(nothing, Link("disoccluded", names.DISOCCLUDED))]
+    said: list[str | Claim | None] = [Claim(nothing, Link("disoccluded", names.DISOCCLUDED))]
     if pipeline.options.hole_filling == "none":
         said += ["Hole filling is off: black, at infinite depth.", *refused]
         return tuple(filter(None, said))
     filled = f"Hole filling: its color {HOLE_FILLINGS[pipeline.options.hole_filling]}."
-    said += [Step(filled, Link("filled by", names.FILLED_BY)), what_was_taken(pipeline, shot, pixel, values), *refused]
+    said += [
+        Claim(filled, Link("filled by", names.FILLED_BY)),
+        what_was_taken(pipeline, shot, pixel, values),
+        *refused,
+    ]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         outside = f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f})"
         if pipeline.options.hole_filling == "far-side":
@@ -263,11 +267,13 @@ def _background_story(pipeline, shot, pixel, source_px, level: int, values) -> S
     at = _remembered(pipeline, shot, pixel, source_px, level, depth)
     lies = f", last at ({at[0]:.1f}, {at[1]:.1f}) of the rendered image" if at else ""
     links = Link(f"level {level}", names.background("color", level)), Link("filled by", names.FILLED_BY)
-    said: list[str | Step] = [Step(f"Filled from background level {level}: a static surface hidden now{lies}.", *links)]
+    said: list[str | Claim] = [
+        Claim(f"Filled from background level {level}: a static surface hidden now{lies}.", *links)
+    ]
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
         hides = f"At that place rendered frame {shot.moment.k} shows depth {front:.4g}; the depth here is {depth:.4g}."
-        said.append(Step(hides, *_to_source(shot, source_px)))
+        said.append(Claim(hides, *_to_source(shot, source_px)))
     if pipeline.options.hole_filling == "far-side":
         said.append("Its color is mixed with that of the surface beside the hole, which counts more the nearer it is.")
     now = (pixel[0] + 0.5, pixel[1] + 0.5)

@@ -20,8 +20,8 @@ class Link:
     pixel: tuple[int, int] | None = None
 
 
-class Step(str):
-    """Sentence of a story, with its links."""
+class Claim(str):
+    """Claim of a story, with its links."""
 
     links: tuple[Link, ...]
 
@@ -55,7 +55,7 @@ class Story:
         Where that fragment lies in the rendered image, pixels.
     corrected : bool or None
         Whether shading correction changed its color; None for rendered frames and where that is off.
-    sentences : tuple of Step or str
+    sentences : tuple of Claim or str
     fragment : (int, int) or None
         Its pixel of the rendered image, where it is a fragment of that.
     way : tuple of WayPoint
@@ -72,7 +72,7 @@ class Story:
     level: int | None = None
     level_px: tuple[float, float] | None = None
     corrected: bool | None = None
-    sentences: tuple[Step | str, ...] = ()
+    sentences: tuple[Claim | str, ...] = ()
     fragment: tuple[int, int] | None = None
     way: tuple[WayPoint, ...] = ()
 

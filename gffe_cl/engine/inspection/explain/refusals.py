@@ -12,7 +12,7 @@ import pyopencl as cl
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import Shot, around, device_layers, least, read_blocks, told
-from gffe_cl.engine.inspection.explain.pixel_explain_types import Link, Step
+from gffe_cl.engine.inspection.explain.pixel_explain_types import Claim, Link
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import MAX_LEVELS
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -27,7 +27,7 @@ def _index(pipeline: Pipeline, pixel: tuple[int, int]) -> int:
     return pixel[1] * pipeline.sizes.target[0] + pixel[0]
 
 
-def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step | None:
+def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Claim | None:
     """Return why hidden parts of movers left the pixel; None where that stage does not run."""
     stage = pipeline.stages.get("hidden_parts")
     if stage is None:
@@ -41,7 +41,7 @@ def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step
         if (steps := one[_MOVERS["STEPS"]])
     ]
     if not found:
-        return Step(
+        return Claim(
             f"Hidden parts of movers left it: nothing moves within {stage.reach} px, in eight directions.",
             Link("dynamic", names.DYNAMIC),
         )
@@ -49,7 +49,7 @@ def why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Step
     why = _why_refused(shot, one)
     if one[_MOVERS["REFUSED_BY"]] == _MOVERS["NOT_REFUSED"]:
         why += f" But it is {away:.1f} px away; movers own holes within {stage.reach / _MOVERS['BESIDE']:.1f} px."
-    return Step(
+    return Claim(
         f"Hidden parts of movers left it: if it moved as ({x}, {y}) does, the nearest mover, {why}",
         Link("that mover", names.DYNAMIC, pixel=(x, y)),
     )
@@ -78,7 +78,7 @@ def _why_refused(shot: Shot, given: list[float]) -> str:
     return was
 
 
-def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px) -> Step | None:
+def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px) -> Claim | None:
     """Return what the background remembers where the pixel would be, which does not land in it; None without it."""
     if source_px is None:
         return None
@@ -89,7 +89,7 @@ def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], so
             continue
         at = layers[named[0]].place(pixel, source_px)
         if at is None:
-            return Step(
+            return Claim(
                 f"The background left it: its place ({source_px[0]:.1f}, {source_px[1]:.1f}) is outside of the rendered"
                 " image."
             )
@@ -109,12 +109,12 @@ def why_no_background(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], so
     if not said:
         return None
     around_it = f"around ({source_px[0]:.1f}, {source_px[1]:.1f})"
-    return Step(f"The background left it: {around_it} {'; '.join(said)}.", *links)
+    return Claim(f"The background left it: {around_it} {'; '.join(said)}.", *links)
 
 
 def what_was_taken(
     pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], values: dict[str, np.ndarray]
-) -> Step | None:
+) -> Claim | None:
     """Return which pixels the hole filling "far-side" took the color from; None for other ways."""
     if not getattr(pipeline.stages.get("holes"), "reach", 0):
         return None
@@ -124,7 +124,7 @@ def what_was_taken(
     met = [side for side in sides if side[_HOLES["MEETS"]]]
     color = f"The result is ({', '.join(f'{float(c):.3g}' for c in values[names.FINAL][:3])})."
     if not met:
-        return Step(f"No direction meets a pixel beside the hole, so it took that of the rendered frame. {color}")
+        return Claim(f"No direction meets a pixel beside the hole, so it took that of the rendered frame. {color}")
     used = [side for side in met if side[_HOLES["TAKEN"]]]
     listed = ", ".join(_listed(pipeline, shot, side) for side in used)
     links = [Link(f"({x}, {y})", names.FINAL, pixel=(x, y)) for x, y in (_pixel(pipeline, side) for side in used)]
@@ -134,7 +134,7 @@ def what_was_taken(
     else:
         kind = "can be behind" if any(side[_HOLES["CAN_BE_THERE"]] for side in met) else "are the farthest"
         said = f"Of {len(met)} pixels beside the hole it took the mean of those that {kind}: {listed}."
-    return Step(f"{said} {color}", *links)
+    return Claim(f"{said} {color}", *links)
 
 
 def _pixel(pipeline: Pipeline, side: np.ndarray, of: str = "AT") -> tuple[int, int]:
@@ -162,7 +162,7 @@ def _listed(pipeline: Pipeline, shot: Shot, side: np.ndarray) -> str:
 
 def where_it_reappears_from(
     pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], source_px: tuple[float, float] | None
-) -> Step | None:
+) -> Claim | None:
     """Return where the frame before showed a part of a mover that reappears. It is at `source_px` of the rendered
     image, behind what hides it, and moves as the mover beside that does."""
     if source_px is None:
@@ -178,7 +178,7 @@ def where_it_reappears_from(
         f"It moves as the mover beside it, at {mover} of rendered frame {shot.moment.k}, does. So its color is that of"
         f" frame {before} at ({x:.1f}, {y:.1f}), at the mover's depth {float(depth[0]):.4g}."
     )
-    return Step(said, Link(f"frame {before}", names.FINAL, before, (math.floor(x), math.floor(y))))
+    return Claim(said, Link(f"frame {before}", names.FINAL, before, (math.floor(x), math.floor(y))))
 
 
 def _offered(pipeline: Pipeline, index: int) -> int | None:
