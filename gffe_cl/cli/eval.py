@@ -17,6 +17,7 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     DeviceOption,
     FollowLinksOption,
+    OverwriteOption,
     app,
     named,
     out,
@@ -28,7 +29,7 @@ from gffe_cl.cli.common import (
     warn,
 )
 from gffe_cl.engine.core.errors import GffeError, require_packages
-from gffe_cl.engine.core.files import write_text
+from gffe_cl.engine.core.files import require_output_file, write_text
 
 if TYPE_CHECKING:
     from gffe_cl.lab.table.cells import Filled
@@ -110,6 +111,7 @@ def evaluate(
     fresh: Annotated[bool, typer.Option("--fresh", help="Finished cells: compute them again.")] = False,
     device: DeviceOption = None,
     follow_links: FollowLinksOption = False,
+    overwrite: OverwriteOption = False,
 ) -> None:
     """Measure the quality and time of methods on sequences. Finished cells are kept."""
     require_packages("eval", "lab", "skimage", "scipy")
@@ -137,6 +139,7 @@ def evaluate(
     words = tuple(methods.split(",")) if methods else None
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
+    require_output_file(output / "results.json", "--out", overwrite)
     with progress_bars() as bars:
 
         def filling(text: str, order: TableOrder) -> Filled:

@@ -140,7 +140,10 @@ def test_eval_says_what_is_wrong(gffe, tmp_path, arguments, words):
 def test_reports_go_to_folders_of_their_own(gffe, tmp_path):
     (tmp_path / "file").write_text("")
     (tmp_path / "sequence.json").write_text("{}")
-    for out, words in ((tmp_path / "file", "is a file"), (tmp_path, "is a sequence")):
+    (tmp_path / "mine").mkdir()
+    (tmp_path / "mine" / "results.json").write_text("[1]")
+    refused = ((tmp_path / "file", "is a file"), (tmp_path, "is a sequence"), (tmp_path / "mine", "did not write"))
+    for out, words in refused:
         code, _, err = gffe("eval", "room", "--out", out)
         assert code == 2 and words in err
 

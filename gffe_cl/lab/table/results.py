@@ -13,6 +13,7 @@ from typing import Any
 
 import numpy as np
 
+from gffe_cl.engine.core.public_names import __version__
 from gffe_cl.lab.metrics import METRICS, REGIONS, RegionErrors
 from gffe_cl.lab.table.cells import Cell, Filled, finite
 from gffe_cl.lab.table.methods import FULL, GAINS
@@ -82,6 +83,7 @@ def results_of(filled: Filled, late: dict[float, Filled] | None = None, command:
     means = [mean for name in filled.methods if (mean := _mean(name, cells, filled, names))]
     present = [c.name for c in COLUMNS.values() if any(mean.get(c.name) is not None for mean in means)]
     return {
+        "generator": f"gffe-cl {__version__}",
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
         "command": command,
         "versions": versions(),
