@@ -7,15 +7,14 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.description import check_times
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
-from gffe_cl.engine.frame.transfer_function import to_display
 
-NEAR, FAR = 0.1, 1000.0  # world units, of device depths
+NEAR = 0.1  # world units, of device depths
 _FOCAL_ERROR = 1.08
 _GRAIN = 0.03  # of linear colors
 _UNWRITTEN, _FEW = 65504.0, 0.002  # pixels, and the share of vectors that have this value
@@ -25,11 +24,10 @@ _CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
 
 
 class Kept:
-    """Clip of rendered frames in memory, with the parts of a `Sequence` that the doctor needs. `forward`: vectors to
-    the next frame of each, (H, W, 2) pixels, where they are known."""
+    """Clip of rendered frames in memory, with the parts of a `Sequence` that the doctor needs."""
 
-    def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0, forward=None):
-        self.images, self.exposure, self.fps, self.forward = frames, exposure, fps, forward
+    def __init__(self, frames: list[RenderedFrame], exposure: float = 1.0, fps: float = 30.0):
+        self.images, self.exposure, self.fps = frames, exposure, fps
         self.format = None
         self.height, self.width = np.shape(frames[0].depth)
         self.frames = [
@@ -37,10 +35,6 @@ class Kept:
             for k, f in enumerate(frames)
         ]
         check_times(self.frames)
-
-    @classmethod
-    def of(cls, sequence: Sequence) -> Kept:
-        return cls([sequence.read(e) for e in sequence.rendered], sequence.exposure, sequence.fps)
 
     @property
     def rendered(self) -> list[FrameEntry]:
@@ -88,14 +82,6 @@ def _depth(change: Callable[[np.ndarray], np.ndarray]) -> Callable:
     return _each(changed)
 
 
-def _along_rays(frame):
-    height, width = frame.depth.shape
-    y, x = np.mgrid[:height, :width] + 0.5
-    camera = frame.camera
-    length = np.sqrt(1 + ((x - camera.cx) / camera.fx) ** 2 + ((y - camera.cy) / camera.fy) ** 2)
-    return {"depth": (frame.depth * length).astype(np.float32)}
-
-
 def _camera(change: Callable[[np.ndarray], np.ndarray], focal: float = 1.0) -> Callable:
     def changed(frame):
         c = frame.camera
@@ -108,14 +94,6 @@ def _camera(change: Callable[[np.ndarray], np.ndarray], focal: float = 1.0) -> C
 def _rotation_transposed(m):
     m[:3, :3] = m[:3, :3].T.copy()
     return m
-
-
-def _translation_scaled(factor):
-    def change(m):
-        m[:3, 3] *= factor
-        return m
-
-    return change
 
 
 def _with_motion(frames, motions):
@@ -137,11 +115,6 @@ def _to_next(frames):
             made = np.where((np.linalg.norm(own, axis=-1) > 0.25)[..., None], made - own, made)
         motions.append(made)
     return _with_motion(frames, motions)
-
-
-def _late(frames):
-    first = np.zeros_like(frames[1].motion)
-    return _with_motion(frames, [first, *(f.motion if f.motion is not None else first for f in frames[:-1])])
 
 
 def _without_camera(frames):
@@ -223,10 +196,6 @@ def _two_swapped(frames):
     return _times_kept(frames, order)
 
 
-def _tone_mapped(frame):
-    return {"color": to_display(frame.color).astype(np.float16)}
-
-
 def _bottom_up(*buffers: str) -> Callable:
     def changed(frame):
         stored = {name: getattr(frame, name) for name in buffers}
@@ -235,43 +204,16 @@ def _bottom_up(*buffers: str) -> Callable:
     return _each(changed)
 
 
-def _range_misread(z: np.ndarray) -> np.ndarray:
-    """Return depth that was made linear from 0 … 1 by the formula for OpenGL's −1 … 1."""
-    device = FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR))
-    return np.where(np.isinf(z), z, 2 * FAR * NEAR / (FAR + NEAR - device * (FAR - NEAR)))
-
-
 BREAKS: dict[str, tuple[str, Callable]] = {
     "motion jitter not removed": ("motion", _jittered),
     "motion without the camera": ("motion", _without_camera),
     "motion to the next frame": ("motion", _to_next),
-    "motion one frame late": ("motion", _late),
     "motion negated": ("motion", _scaled_motion((-1, -1))),
-    "motion y flipped": ("motion", _scaled_motion((1, -1))),
-    "motion x and y swapped": ("motion", _motion(lambda v, size: v[..., ::-1])),
-    "motion in UV": ("motion", _motion(lambda v, size: v / np.array(size))),
-    "motion in NDC": ("motion", _motion(lambda v, size: v / np.array(size) * 2)),
-    "motion twice": ("motion", _scaled_motion(2)),
-    "motion half": ("motion", _scaled_motion(0.5)),
-    "motion zero": ("motion", _scaled_motion(0)),
-    "depth reversed": ("depth", _depth(lambda z: NEAR / z)),
-    "depth device": ("depth", _depth(lambda z: FAR / (FAR - NEAR) * (1 - NEAR / np.minimum(z, FAR)))),
-    "depth along rays": ("depth", _each(_along_rays)),
-    "depth range misread": ("depth", _depth(_range_misread)),
     "depth in centimeters": ("depth", _depth(lambda z: z * 100)),
     "camera transposed": ("camera", _camera(_rotation_transposed)),
-    "camera inverted": ("camera", _camera(np.linalg.inv)),
-    "camera OpenGL axes": ("camera", _camera(lambda m: np.diag([1.0, -1, -1, 1]) @ m)),
-    "camera y up": ("camera", _camera(lambda m: np.diag([1.0, -1, 1, 1]) @ m)),
-    "camera left-handed": ("camera", _camera(lambda m: np.diag([1.0, 1, -1, 1]) @ m)),
-    "camera in centimeters": ("camera", _camera(_translation_scaled(100))),
     "camera field of view": ("camera", _camera(lambda m: m, _FOCAL_ERROR)),
     "two frames swapped": ("order", _two_swapped),
     "color rows": ("color", _bottom_up("color")),
-    "depth rows": ("depth", _bottom_up("depth")),
-    "motion rows": ("motion", _bottom_up("motion")),
-    "all rows": ("rows", _bottom_up("color", "depth", "motion")),
-    "color tone-mapped": ("color", _each(_tone_mapped)),
 }
 HARMLESS: dict[str, Callable] = {
     "as it is": lambda frames: frames,
@@ -295,8 +237,5 @@ def broken(clip: Kept, names: list[str]) -> Kept:
     for name in names:
         if name not in known:
             raise GffeError(f"unknown fault '{name}': expected one of {', '.join(known)}")
-        if name == "motion to the next frame" and clip.forward is not None:
-            frames = _with_motion(frames, clip.forward)
-            continue
         frames = known[name](frames)
     return Kept(frames, clip.exposure, clip.fps)

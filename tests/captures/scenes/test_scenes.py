@@ -6,7 +6,6 @@ from scene_oracle import cast, followed
 
 from gffe_cl.captures.offline.source import Live
 from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.captures.scenes.renderer import build_tree
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import host_arrays
@@ -65,18 +64,6 @@ def test_frames_of_a_scene(device):
     assert windowed[2].display_camera == frames[2].camera
     with pytest.raises(GffeError, match="at least 1 frame"):
         list(made.sequence(0))
-
-
-def test_tree_holds_every_box_once():
-    low = np.random.default_rng(0).uniform(-5, 5, (37, 3))
-    high = low + np.random.default_rng(1).uniform(0.1, 3, (37, 3))
-    nodes, leaves = build_tree(low, high)
-    bits = nodes.view(np.int32)
-    assert sorted(bits[leaves, 1, 3]) == list(range(37)) and (bits[:, 1, 3] >= 0).sum() == 37
-    for index in range(len(nodes)):
-        inside = [bits[k, 1, 3] for k in range(index, bits[index, 0, 3]) if bits[k, 1, 3] >= 0]
-        assert np.all(nodes[index, 0, :3] <= low[inside].min(0).astype(np.float32))
-        assert np.all(nodes[index, 1, :3] >= high[inside].max(0).astype(np.float32))
 
 
 # ---- device ----

@@ -19,7 +19,6 @@ from gffe_cl.captures.sequence import (
     open_sequence,
 )
 from gffe_cl.captures.sequence.exr_header import ExrPart, camera_attributes, header_cameras
-from gffe_cl.captures.sequence.reader import zero_motion_warning
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
@@ -187,15 +186,8 @@ def test_time_warnings(folder):
 
 
 def test_zero_motion_warning(folder):
-    depth, still = np.full((H, W), 2.0, np.float32), np.zeros((H, W, 2), np.float32)
-    assert zero_motion_warning(still, depth, camera(0), camera(1))
-    assert zero_motion_warning(still, depth, camera(0), camera(0)) is None
-    assert zero_motion_warning(still + 1, depth, camera(0), camera(1)) is None
-    assert zero_motion_warning(still, depth * np.inf, camera(0), camera(1)) is None
-    assert zero_motion_warning(None, depth, camera(0), camera(1)) is None
-
     color, depth, _ = pixels(2)
-    channels = contiguous(named_channels(color, depth, still))
+    channels = contiguous(named_channels(color, depth, np.zeros((H, W, 2), np.float32)))
     OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(folder / "frame_2.exr"))
     sequence = open_sequence(folder)
     for _ in range(2):
