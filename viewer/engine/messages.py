@@ -6,7 +6,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gffe_cl.engine.frame.rendered_frame import BadPixels
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX, BadPixels
 from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.engine.options import Options
@@ -133,3 +133,11 @@ class Closing(Exception):
 
 class Interrupted(Exception):
     """Something else is wanted first."""
+
+
+def rgba_of(color: np.ndarray) -> np.ndarray:
+    """Return colors (H, W, 3) as (H, W, 4) float16 with 0 in the last channel; other types are clipped to float16's
+    range."""
+    out = np.zeros((*color.shape[:2], 4), np.float16)
+    out[..., :3] = color if color.dtype == np.float16 else np.clip(color, -HALF_MAX, HALF_MAX)
+    return out

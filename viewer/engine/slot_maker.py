@@ -16,7 +16,7 @@ from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat
-from gffe_cl.engine.frame.rendered_frame import HALF_MAX, BadPixels, RenderedFrame, host_arrays
+from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import (
     Moment,
@@ -40,7 +40,7 @@ from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.timing.bench import memory
 from gffe_cl.lab.metrics import focus_mask
-from .messages import Frame, Key, Recipe
+from .messages import Frame, Key, Recipe, rgba_of
 from .reloading import Kernels
 from .sources.source import FrameSource
 
@@ -303,8 +303,9 @@ class SlotMaker:
         specs = layers_of(pipeline)
         if not source.has_truth:
             del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
-        if seeker.invalid is not None:
-            specs[INVALID.name] = INVALID
+        if seeker.invalid is not None:  # listed after the other layers of the input
+            place = list(specs).index(names.RENDERED_MOTION) + 1
+            specs = dict(list(specs.items())[:place]) | {INVALID.name: INVALID} | specs
         stored, size, buffers = seeker.stored, source.render_size, ()
         if stored is None:
             del specs[names.UNDONE]
@@ -324,9 +325,9 @@ class SlotMaker:
         if seeker.invalid is not None and INVALID.name in wanted:
             images[INVALID.name] = seeker.invalid
         if truth is not None and names.TRUTH in wanted:
-            images[names.TRUTH] = _rgba(truth)
+            images[names.TRUTH] = rgba_of(truth)
         if truth is not None and names.FOCUS_TRUTH in wanted:
-            images[names.FOCUS_TRUTH] = seeker.find_focus(_rgba(truth))
+            images[names.FOCUS_TRUTH] = seeker.find_focus(rgba_of(truth))
         return Frame(
             key,
             layers,
@@ -369,7 +370,7 @@ class SlotMaker:
                 found[INVALID.name] = texel
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
-            values.here[names.TRUTH] = _rgba(seeker.truth[y : y + 1, x : x + 1])[0, 0]
+            values.here[names.TRUTH] = rgba_of(seeker.truth[y : y + 1, x : x + 1])[0, 0]
         if seeker.focus is not None:
             values.here[names.FOCUS_TRUTH] = seeker.focus[y, x : x + 1]
         return Inspection((x, y), self.key.slot, story.source, values.here, story, fault, values.origin)
@@ -385,14 +386,6 @@ def weights_of(options: Options) -> str:
     except OSError:
         return str(path)
     return f"{path} {state.st_mtime_ns} {state.st_size}"
-
-
-def _rgba(color: np.ndarray) -> np.ndarray:
-    """Return colors (H, W, 3) as (H, W, 4) float16 with 0 in the last channel; other types are clipped to float16's
-    range."""
-    out = np.zeros((*color.shape[:2], 4), np.float16)
-    out[..., :3] = color if color.dtype == np.float16 else np.clip(color, -HALF_MAX, HALF_MAX)
-    return out
 
 
 def _changed_motion(stored: RenderedFrame, used: RenderedFrame, format: FrameFormat | None) -> np.ndarray:

@@ -47,8 +47,6 @@ def save_png(path: Path, rgba: np.ndarray) -> None:
     """Write (H, W, 3 or 4) uint8 display values. Raises GffeError, leaving nothing new."""
     from PIL import Image
 
-    path = _not_a_folder(path)
-    _require_image(path, rgba, (3, 4))
     with _faults(path, "the image"), replacing(path) as part:
         Image.fromarray(np.ascontiguousarray(rgba)).save(part, "PNG")
 
@@ -103,12 +101,6 @@ def _channels(spec: LayerSpec, image: np.ndarray) -> dict[str, np.ndarray]:
     return {name: np.ascontiguousarray(plane) for name, plane in _dump_channels(spec, image).items()}
 
 
-def _not_a_folder(path: Path) -> Path:
-    if Path(path).is_dir():
-        raise GffeError(f"{path}: is a folder")
-    return Path(path)
-
-
 @contextlib.contextmanager
 def _faults(path: Path, what: str) -> Iterator[None]:
     """Raise GffeError in place of OSError, in one line that names `path`."""
@@ -116,13 +108,6 @@ def _faults(path: Path, what: str) -> Iterator[None]:
         yield
     except OSError as error:
         raise GffeError(f"{path}: cannot write {what}: {error.strerror or error}") from None
-
-
-def _require_image(path: Path, image: np.ndarray, channels: tuple[int, ...]) -> None:
-    shape = getattr(image, "shape", ())
-    if len(shape) != 3 or shape[2] not in channels or 0 in shape or image.dtype != np.uint8:
-        wanted = " or ".join(map(str, channels))
-        raise GffeError(f"{path}: expected (H, W, {wanted}) uint8, got {shape} {getattr(image, 'dtype', type(image))}")
 
 
 _PATIENCE = 5.0  # seconds for writing to end after it was cancelled

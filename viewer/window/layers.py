@@ -121,14 +121,19 @@ def _display(model: Model) -> None:
     if len(spec.channels) > 1:
         channel = display.channel or spec.channels[0]
         widgets.choice("channel", channel, list(spec.channels), lambda v: change(channel=v))
-    if view not in ("mask", "label"):
-        if imgui.button("fit###fit_range"):
-            model.looks.fit(spec.name)
+    _fit_or_reset(model, spec.name, view not in ("mask", "label"))
+    widgets.swatches(legend(spec, display).labels)
+
+
+def _fit_or_reset(model: Model, name: str, has_range: bool = True) -> None:
+    """Draw buttons that fit a layer's display to its picture, and that put it back to the default."""
+    if has_range:
+        if imgui.button("fit###fit_display"):
+            model.looks.fit(name)
         widgets.tooltip("Range, or exposure, from the picture: 1 to 99 % of its finite values (N)")
         imgui.same_line()
     if imgui.button("reset###reset_display"):
-        model.looks.reset(spec.name)
-    widgets.swatches(legend(spec, display).labels)
+        model.looks.reset(name)
 
 
 def _range(display, change) -> None:
@@ -155,12 +160,7 @@ def draw_histogram(app: App) -> None:
     imgui.text(widgets.cut(f"{spec.group}: {spec.label}", imgui.get_content_region_avail().x))
     widgets.toggle("log", histogram.log, lambda on: setattr(histogram, "log", on), "Logarithmic axis of shares")
     imgui.same_line()
-    if imgui.button("fit###fit_histogram"):
-        model.looks.fit(spec.name)
-    widgets.tooltip("Range, or exposure, from the picture: 1 to 99 % of its finite values (N)")
-    imgui.same_line()
-    if imgui.button("reset###reset_histogram"):
-        model.looks.reset(spec.name)
+    _fit_or_reset(model, spec.name)
     handles = histogram.handles()
     widgets.hint("   ".join(f"{name} {value:.4g}" for name, value in handles.items()))
     counts, flags = histogram.counts, implot.Flags_.no_mouse_text | implot.Flags_.no_legend | implot.Flags_.no_menus

@@ -13,11 +13,10 @@ from gffe_cl.captures.offline.run import MASKS, alphas_for
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.buffers import Moment
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
-from ..messages import Frame, Key
+from ..messages import Frame, Key, rgba_of
 from .opening import place_of
 from .recorded import state_of_capture
 from .source import FrameSource
@@ -63,7 +62,7 @@ class StoredSlots:
         images = {name: made for name in layers if (made := self._image(entry, name, known.get(name))) is not None}
         images = self._of_rendered(base, layers - images.keys()) | images
         if j and names.TRUTH in layers and (truth := source.truth(k, alphas[j])) is not None:
-            images[names.TRUTH] = _rgba(truth)
+            images[names.TRUTH] = rgba_of(truth)
         camera = entry.display_camera or source.camera(k, alphas[j])
         assert camera is not None  # every frame of a sequence has one
         seen = (camera, camera) if base is None else (base.render_camera or camera, base.display_camera or camera)
@@ -82,7 +81,7 @@ class StoredSlots:
             return {}
         frame = self._sequence.read(base)
         found = {
-            names.RENDERED_COLOR: _rgba(frame.color),
+            names.RENDERED_COLOR: rgba_of(frame.color),
             names.RENDERED_DEPTH: frame.depth,
             names.RENDERED_MOTION: frame.motion,
         }
@@ -90,7 +89,7 @@ class StoredSlots:
 
     def _image(self, entry: FrameEntry, name: str, spec: LayerSpec | None) -> np.ndarray | None:
         if name == names.FINAL:
-            return _rgba(self._sequence.read_color(entry))
+            return rgba_of(self._sequence.read_color(entry))
         if spec is None or entry.kind != "extrapolated":
             return None
         dumped = Path(self._sequence.path) / "stages" / Path(entry.file).stem / f"{name}.exr"
@@ -115,9 +114,3 @@ def _typed(image: np.ndarray, spec: LayerSpec) -> np.ndarray:
     """Return a layer in the type that shaders take, without the axis of a single channel."""
     image = image if spec.components else image[..., 0]
     return image.astype(np.uint8) if spec.view in ("mask", "label") else image
-
-
-def _rgba(color: np.ndarray) -> np.ndarray:
-    rgba = np.zeros((*color.shape[:2], 4), np.float16)
-    rgba[..., :3] = np.clip(color, -HALF_MAX, HALF_MAX)
-    return rgba
