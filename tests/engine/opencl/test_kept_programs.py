@@ -82,13 +82,8 @@ def flipped(content, place):
 
 DAMAGED = {
     "empty": lambda content: b"",
-    "short": lambda content: content[:20],
     "cut off": lambda content: content[:-1],
-    "longer": lambda content: content + b"\0",
-    "first bit": lambda content: flipped(content, 0),
-    "first bit of the binary": lambda content: flipped(content, 32),
     "bit in the middle": lambda content: flipped(content, len(content) // 2),
-    "last bit": lambda content: flipped(content, len(content) - 1),
     "without a digest": lambda content: content[32:],
 }
 
