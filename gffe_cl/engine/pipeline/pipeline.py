@@ -58,8 +58,9 @@ class Pipeline(Unique):
     Attributes
     ----------
     exposure : float
-        Factor on color before display, 1e-6 to 1e6, for the shading correction network; may change from frame to
-        frame. It counts from the next `submit` on.
+        Factor on color before display, 1e-6 to 1e6; may change from frame to frame. It counts from the next `submit`
+        on. Colors are mixed and corrected as bright as they are displayed: colors four times as bright need a quarter
+        of the exposure, and then give the same frames, four times as bright.
     format : FrameFormat or None
         Description of the buffers of rendered frames. It may change from frame to frame.
     is_cut : bool

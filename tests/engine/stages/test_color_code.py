@@ -1,13 +1,18 @@
 """Color code: the kernel against its twin."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
+import synthetic
 import tiny_frames
 import twins
-from twin_cases import run
+from twin_cases import frames, run
 from twins import codes_of, decode_color, encode_color
 
 from gffe_cl import Camera, Options, Pipeline, RenderedFrame
+from gffe_cl.engine.inference.network import PACKAGED
+from gffe_cl.engine.options import PRESETS
 
 W, H = 48, 32
 
@@ -41,6 +46,28 @@ def test_codes_are_halves_at_every_exposure(device):
             pipeline.submit(RenderedFrame(color, depth, motion, camera, k / 30, reset=k == 0))
         new = pipeline.extrapolate().numpy("color").astype(np.float32)
         np.testing.assert_allclose(new, color, rtol=3e-3, err_msg=f"exposure {exposure}")
+
+
+@pytest.mark.parametrize("preset", PRESETS)
+def test_brighter_colors_of_less_exposure_make_the_same_frames(device, preset):
+    """To the bit for powers of four; for other powers of two roots are rounded otherwise, which few halves show."""
+
+    def made(power):
+        options = Options.preset(preset)
+        if preset != "performance":
+            options = replace(options, shading_correction=True, scn_model=str(PACKAGED))
+        pipeline, scale = Pipeline(device, 61, 37, options), np.float32(2.0**power)
+        pipeline.exposure = float(1 / scale)
+        for frame in frames(61, 37, spoil=False):
+            color = np.clip(frame.color, 0.02, 60).astype(np.float16)  # far from the ends of halves
+            pipeline.submit(replace(frame, color=(color * scale).astype(np.float16)))
+        new = pipeline.extrapolate(synthetic.camera(61, 37, (0.35, 0.07, 0.6), 0.075, 0.045), frame.time + 0.02)
+        return new.numpy("color") / scale, new.numpy("depth")
+
+    (color, depth), (other, _) = made(0), made(5)
+    for power in (-4, 6):
+        assert all(map(np.array_equal, made(power), (color, depth))), power
+    assert (color != other).mean() < 2e-3 and np.allclose(color, other, rtol=2e-3)
 
 
 def test_a_frame_keeps_its_exposure(device):
