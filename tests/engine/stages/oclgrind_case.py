@@ -53,6 +53,13 @@ def stages(device, int64):
         case.pipeline.extrapolate().numpy("color")
 
 
+def sizes(device):
+    """A sample of small images, with holes within a few pixels of the border and of each other."""
+    for lanes, (source, target) in product((1, 8), (((1, 1), (2, 3)), ((23, 14), (23, 14)), ((37, 9), (19, 20)))):
+        device.__dict__["lanes"] = lanes
+        run(device, *source, Options(), None, target).made.numpy("color")
+
+
 def overlays():
     """All there are; the effects move out of the image."""
     rgba, motion = np.full((HEIGHT, WIDTH, 4), 0.5, np.float16), np.full((HEIGHT, WIDTH, 2), -9, np.float32)
@@ -155,7 +162,7 @@ if __name__ == "__main__":
     case = sys.argv[1]
     with tempfile.TemporaryDirectory() as folder:
         without_looks(folder)
-        others = {"scene": scene, "upload": upload, "dilate-splat": dilate_splat}
+        others = {"scene": scene, "upload": upload, "dilate-splat": dilate_splat, "sizes": sizes}
         others |= {"shading": shading, "convolutions": convolutions}
         if case in others:
             others[case](opened)

@@ -19,6 +19,7 @@ LONG = pytest.mark.long
     [
         pytest.param("int64", marks=LONG),
         pytest.param("int32", marks=LONG),
+        pytest.param("sizes", marks=LONG),
         "shading",
         "convolutions",
         "upload",
