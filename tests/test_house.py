@@ -40,7 +40,7 @@ FLOORS = {
         ("offline", "doctor"),
     ),
     "lab": (
-        ("metrics", "report"),
+        ("metrics",),
         ("compare",),
         ("table", "training", "demo"),
         ("bench",),

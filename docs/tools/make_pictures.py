@@ -24,8 +24,8 @@ from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.demo import contact_sheet, side_by_side
 from gffe_cl.lab.metrics import focus_mask, to_display
-from gffe_cl.lab.report import contact_sheet, side_by_side
 
 SIZE, PART = (640, 360), (128, 72)
 FPS, ALPHA = 30.0, 0.5

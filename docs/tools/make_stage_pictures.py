@@ -26,8 +26,8 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.buffers import BY_CRACK_CLOSING, BY_HIDDEN_PART, BY_HOLE_FILLING, BY_NOTHING, grid_of
 from gffe_cl.engine.stages.warp import BACKWARD
+from gffe_cl.lab.demo import contact_sheet, error_image
 from gffe_cl.lab.metrics import to_display
-from gffe_cl.lab.report import contact_sheet, error_image
 from gffe_cl.viewer.picture.displays import color_table
 
 SIZE, FPS, ALPHA = (640, 360), 30.0, 1.0

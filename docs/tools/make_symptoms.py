@@ -24,8 +24,8 @@ from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.demo import contact_sheet, to_image
 from gffe_cl.lab.metrics import to_display
-from gffe_cl.lab.report import contact_sheet, to_image
 from gffe_cl.viewer.picture.displays import LABEL_COLORS
 
 sys.path.insert(0, str(REPOSITORY / "tests" / "helpers"))

@@ -181,7 +181,7 @@ def _subjects(texts, encodings, *scenes) -> tuple[tuple[Subject, ...], dict[str,
 
 
 def _videos(text: str | None) -> tuple[str, ...]:
-    from gffe_cl.lab.table.videos import VIDEO_METRICS
+    from gffe_cl.lab.table.cells import VIDEO_METRICS
 
     names = tuple(text.split(",")) if text else ()
     if unknown := [name for name in names if name not in VIDEO_METRICS]:

@@ -13,7 +13,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import to_display
 from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, RegionErrors, blurred, labels_of, masks, steps
-from gffe_cl.lab.table import baselines, results, videos
+from gffe_cl.lab.table import baselines, cells, results
 from gffe_cl.lab.table.baselines import OnnxModel, OnnxRunner
 from gffe_cl.lab.table.footage import Guide, Moment, Shot, exact_parts, pixel_centers
 from gffe_cl.lab.table.methods import chosen_methods
@@ -245,11 +245,11 @@ def test_figures_are_those_of_the_reference_packages():
 def test_metrics_that_cannot_run_say_why(monkeypatch):
     monkeypatch.setitem(sys.modules, "pycvvdp", None)
     images = [np.zeros((8, 8, 3), np.float32)] * 2
-    value, reason = videos.measured_or_reason(videos.VIDEO_METRICS["cvvdp"], images, images, 60)
+    value, reason = cells.measured_or_reason(cells.VIDEO_METRICS["cvvdp"], images, images, 60)
     assert value is None and reason.startswith("needs pycvvdp: pip install")
 
     def fails(shown, truth, fps):
         raise OSError("no route\nto the weights")
 
-    broken = replace(videos.VIDEO_METRICS["lpips"], measure=fails)
-    assert videos.measured_or_reason(broken, images, images, 60)[1] == "cannot run here: no route to the weights"
+    broken = replace(cells.VIDEO_METRICS["lpips"], measure=fails)
+    assert cells.measured_or_reason(broken, images, images, 60)[1] == "cannot run here: no route to the weights"

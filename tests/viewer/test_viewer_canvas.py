@@ -16,8 +16,8 @@ from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec, layers_of
 from gffe_cl.engine.stages.buffers import Sizes, grid_of
+from gffe_cl.lab.demo import error_image
 from gffe_cl.lab.metrics import to_display
-from gffe_cl.lab.report import error_image
 from gffe_cl.viewer.picture.canvas import Canvas, read
 from gffe_cl.viewer.picture.displays import (
     LABEL_COLORS,

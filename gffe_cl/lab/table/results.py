@@ -15,9 +15,8 @@ import numpy as np
 
 from gffe_cl.engine.core.public_names import __version__
 from gffe_cl.lab.metrics import METRICS, REGIONS, RegionErrors
-from gffe_cl.lab.table.cells import Cell, Filled, finite
+from gffe_cl.lab.table.cells import VIDEO_METRICS, Cell, Filled, finite
 from gffe_cl.lab.table.methods import FULL, GAINS
-from gffe_cl.lab.table.videos import VIDEO_METRICS
 
 _PACKAGES = (
     "gffe-cl",
