@@ -40,7 +40,7 @@ def frustum_in_window(current, predicted, window, distance, size=SIZE):
     return np.concatenate(uv)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(motions(), st.lists(st.floats(0.05, 2), min_size=1, max_size=4), st.floats(0.5, 20))
 def test_covers_every_predicted_frustum_or_says_so(cameras, alphas, distance):
     previous, current = cameras
@@ -55,7 +55,7 @@ def test_covers_every_predicted_frustum_or_says_so(cameras, alphas, distance):
         assert window.clamped == (max(unlimited.enlargement) > 3.0)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(motions(turn=6.3, travel=30.0), st.floats(0.05, 4), st.floats(1, 4))
 def test_any_motion_gives_a_window(cameras, alpha, most):
     """Turning past 90°, upside down, through walls: finite, not inverted, within the maximum."""
