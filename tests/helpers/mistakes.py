@@ -132,8 +132,8 @@ def rendered_at_half_the_rate(frames):
     return [replace(f, time=k / 30, reset=k == 0) for k, f in enumerate(made)]
 
 
-def all_resets(frames):
-    return [replace(f, reset=True) for f in frames]
+def every_second_reset(frames):
+    return [replace(f, reset=k % 2 == 0) for k, f in enumerate(frames)]
 
 
 def color_twice(frames):
@@ -209,9 +209,7 @@ MISTAKES = {
     "frame dropped": Mistake(GAPS["frame dropped"], ("gap",), None),
     "recorded twice": Mistake(recorded_twice, ("repeated-frames",), None),
     "at half the rate": Mistake(rendered_at_half_the_rate, ("repeated-frames",), None),
-    "reset in every frame": Mistake(
-        lambda frames: [replace(f, reset=True) for f in frames], ("needless-resets",), None
-    ),
+    "reset in every second frame": Mistake(every_second_reset, ("needless-resets",), None),
     "color twice": Mistake(color_twice, ("repeated-color",), None),
     "cut": Mistake(cut, ("cut",), None),
     # Notes.

@@ -105,15 +105,15 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
     beside = {k for index in deep for k in (index - 1, index, index + 1) if 0 <= k < count}
     looks = take_looks(clip, beside | set(_spread(clip)), _SAMPLES, beside, exposure)
     facts = facts_of_samples(list(looks.values()), clip.format or FrameFormat())
-    found = Diagnosis([*facts, *needless_resets(looks)], frames=len(looks), looks=looks)
+    found = Diagnosis(facts, frames=len(looks), looks=looks)
     if found.faults:
         return found
     repeated = repeated_frames(looks)
-    found.findings += repeated
+    found.findings += [*needless_resets(looks), *repeated]
     twice = {k for one in repeated if isinstance(one, RepeatedFrames) for k in one.frames}
     deep = [k for k in deep if PREVIOUS in looks[k].neighbors and k not in twice]
     if not deep:
-        found.findings.append(NothingBefore())
+        found.findings += [] if found.faults else [NothingBefore()]
         return found
     closely = [looks[k] for k in deep]
     step = quantization(closely)
@@ -132,6 +132,8 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
     found.findings += precision(closely, exposure, step)
     found.findings += outcome.findings
     found.given, found.read = outcome.given, outcome.read
+    if outcome.reading.motion.camera != "included":  # by colors, not by residuals
+        found.read = found.given
     if outcome.reading.depth != GIVEN.depth:
         found.findings = _without_depth(found.findings)
     is_read = not any(one.kind == FAULT and not one.is_a_change for one in outcome.findings)

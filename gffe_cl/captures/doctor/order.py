@@ -62,8 +62,8 @@ def _is_copy(look: Look) -> bool:
 
 
 def needless_resets(looks: dict[int, Look]) -> list[Finding]:
-    """Return a fault if more than half of the frames are resets although vectors, or depth and cameras, lead to the
-    frame before and the picture moves."""
+    """Return a fault if more than a quarter of the frames are resets although vectors, or depth and cameras, lead to
+    the frame before and the picture moves."""
     found = []
     for k, look in looks.items():
         before = looks.get(k - 1)
@@ -80,7 +80,7 @@ def needless_resets(looks: dict[int, Look]) -> list[Finding]:
             fits = np.nanmean(along) > np.nanmean(still) + _GAIN if np.isfinite(along).any() else False
         if moves and fits:
             found.append(k)
-    return [NeedlessResets(tuple(found))] if len(found) > len(looks) / 2 else []
+    return [NeedlessResets(tuple(found))] if len(found) > max(1, len(looks) / 4) else []
 
 
 def color_of_another_frame(search: Search, read: Verdict) -> list[Finding]:

@@ -52,7 +52,7 @@ def spread(cases, kept):
 
 SEEN = ["as of Unity", "zero", "logarithmic of 1 + z", "inverted", "field of view", "rows up", "jitter", "cut"]
 SEEN += ["vectors of the frame after", "display values", "frame dropped", "at half the rate", "never written"]
-SEEN += ["dilated", "reset in every frame"]
+SEEN += ["dilated", "reset in every second frame"]
 
 
 @pytest.mark.parametrize(("scene", "name"), spread(MISTAKES, SEEN))
