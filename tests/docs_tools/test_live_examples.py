@@ -20,14 +20,6 @@ def _run(name, *words):
     return subprocess.run(command, capture_output=True, text=True, timeout=300)
 
 
-@pytest.mark.parametrize(("name", "lines", "lines_with_gffe"), [("panda3d", 250, 20), ("moderngl", 160, 20)])
-def test_examples_stay_short(name, lines, lines_with_gffe):
-    text = (EXAMPLES / f"{name}_live.py").read_text()
-    code = re.sub(r'""".*?"""', "", text, flags=re.DOTALL).splitlines()
-    assert len(text.splitlines()) <= lines
-    assert 10 < sum(bool(re.search(r"\bgffe\.|gffe_cl|pipeline|pacer", line)) for line in code) <= lines_with_gffe
-
-
 @pytest.mark.long
 @pytest.mark.parametrize(("words", "gain"), [((), 2), (("--game",), 1)])
 def test_panda3d_gains_over_repeating(words, gain):
