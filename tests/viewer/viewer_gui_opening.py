@@ -175,9 +175,13 @@ def flying(gui: Gui):
     values["picture changed"] = float((gui.picture() != before).any(-1).mean())
     gui.shot("flying")
     gui.key(KEY.h)
-    gui.settle()
-    k, alpha = model.contents.result.moment.k, model.contents.result.moment.alpha
-    home = model.source.scene.camera(model.source.time(k, alpha), model.source.width, model.source.height)
-    values["home"] = float(np.abs(model.contents.result.moment.camera.position - home.position).max())
+
+    def away() -> float:
+        moment, source = model.contents.result.moment, model.source
+        home = source.scene.camera(source.time(moment.k, moment.alpha), source.width, source.height)
+        return float(np.abs(moment.camera.position - home.position).max())
+
+    gui.wait(lambda: away() == 0.0, "the scene's own camera")  # provisionally, if many frames have passed
+    values["home"] = away()
     values["still flying"] = model.flying
     gui.open(gui.sequences / "small")
