@@ -213,6 +213,7 @@ class Gui:
         model.settings.displays.clear()
         model.looks.forget()
         model.pointing.pick(None)
+        model.walk.forget()
         view.a, view.b, view.compare, view.overlay, view.split = "final", None, "off", "none", 0.5
         view.a_display = Display()
         model.playback.seek(slot)
