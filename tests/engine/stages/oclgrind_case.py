@@ -55,8 +55,7 @@ def stages(device, int64):
 
 def sizes(device):
     """A sample of small images, with holes within a few pixels of the border and of each other."""
-    for lanes, (source, target) in product((1, 8), (((1, 1), (2, 3)), ((23, 14), (23, 14)), ((37, 9), (19, 20)))):
-        device.__dict__["lanes"] = lanes
+    for source, target in (((1, 1), (2, 3)), ((23, 14), (19, 20))):
         run(device, *source, Options(), None, target).made.numpy("color")
 
 
