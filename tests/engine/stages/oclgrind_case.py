@@ -13,7 +13,7 @@ import pyopencl as cl
 from device_arrays import of_arrays
 from network_stages import made_stages
 from scn_models import integer_model
-from synthetic import camera
+from synthetic import Rect, Rects, camera
 from twin_cases import frames, run
 
 from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat, conversion
@@ -22,6 +22,7 @@ from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.options import Options
+from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board, Step
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
 from gffe_cl.engine.stages.upload import Upload
@@ -55,8 +56,14 @@ def stages(device, int64):
 
 def sizes(device):
     """A sample of small images, with holes within a few pixels of the border and of each other."""
-    for source, target in (((1, 1), (2, 3)), ((23, 14), (19, 20))):
-        run(device, *source, Options(), None, target).made.numpy("color")
+    run(device, 1, 1, Options(), None, (2, 3)).made.numpy("color")
+    view, past = camera(24, 10), None
+    scene = Rects([Rect((0, 0, 10)), Rect((-2, 0, 6), (1, 9), velocity=(36, 0, 0))])  # over all rows
+    pipeline = Pipeline(device, 24, 10, Options(shading_correction=False))
+    for k in range(4):
+        pipeline.submit(scene.frame(view, k / 30, 24, 10, past, reset=k == 0))
+        past = view, k / 30
+    assert (pipeline.extrapolate(view, 3.5 / 30).numpy("filled_by") == 1).any()
 
 
 def overlays():
