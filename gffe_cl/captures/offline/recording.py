@@ -336,10 +336,11 @@ def _channels(frame: RenderedFrame) -> dict[str, np.ndarray]:
     color, depth, motion = frame.color, frame.depth, frame.motion
     if color.dtype.kind == "u":  # as kernels/upload.cl scales it
         color = color.astype(np.float32) * np.float32(1 / TYPES[type_of(color) or ""][1])
-    depth = depth & 0xFFFFFF if depth.dtype == np.uint32 else depth
-    channels = named_channels(color, depth, None if motion is None else motion[..., :2], frame.overlays)
+    depth = (depth & 0xFFFFFF if depth.dtype == np.uint32 else depth).astype(np.float32)
+    motion = None if motion is None else motion[..., :2].astype(np.float32)
+    channels = named_channels(color, depth, motion, frame.overlays)
     rows, columns = np.shape(color)[:2]
     for name in channels.keys() & set(GEOMETRY):
         height, width = channels[name].shape
-        channels[name] = np.pad(channels[name].astype(np.float32), ((0, rows - height), (0, columns - width)))
+        channels[name] = np.pad(channels[name], ((0, rows - height), (0, columns - width)))
     return {name: exr.stored_type(name, array, copy=False) for name, array in channels.items()}

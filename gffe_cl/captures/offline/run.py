@@ -93,7 +93,7 @@ def run_sequence(
         given = ", ".join(f"{a:g}" for a in alphas) or "none"
         raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
     source.refuse(output)
-    settings = None if dump_stages else _settings(source, device, options, alphas, predicted_camera, compression)
+    settings = None if dump_stages else _settings(source, options, alphas, predicted_camera, compression)
     if once and not overwrite and _is_complete(output, settings):
         for _ in range(source.count * len(alphas)):
             on_frame()
@@ -174,17 +174,15 @@ def run_sequence(
     return report
 
 
-def _settings(
-    source: Source, device: Device, options: Options, alphas: list[float], predicted_camera: bool, compression: str
-) -> str:
-    """Return a digest of everything that the frames of a run depend on: input, settings, kernels and device."""
-    given: list = [asdict(options), alphas, predicted_camera, compression]
+def _settings(source: Source, options: Options, alphas: list[float], predicted_camera: bool, compression: str) -> str:
+    """Return a digest of everything that the frames of a run depend on: input, settings and kernels. All devices and
+    providers of the network give the same bits."""
+    given: list = [asdict(replace(options, scn_provider=None)), alphas, predicted_camera, compression]
     weights = Path(options.scn_model) if options.scn_model else inference.default_model()
     if options.corrects_shading and weights:
         with suppress(OSError):  # the pipeline refuses it
             given.append(inference.digest_of_weights(weights))
-    device_name = [device.info.name, device.info.platform]
-    known = [__version__, kernel_digest(), device_name, source.identity(), *given]
+    known = [__version__, kernel_digest(), source.identity(), *given]
     return hashlib.sha256(json.dumps(known, default=str).encode()).hexdigest()[:32]
 
 

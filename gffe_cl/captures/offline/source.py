@@ -241,7 +241,8 @@ class Recorded(Source):
         refuse_same_folder(output, self.sequence.path)
 
     def identity(self):
-        files = [(str(path), path.stat()) for path in sorted(self.sequence.path.rglob("*")) if path.is_file()]
+        folder = self.sequence.path
+        files = [(str(path.relative_to(folder)), path.stat()) for path in sorted(folder.rglob("*")) if path.is_file()]
         return [self._window, self._upscale, [(name, stat.st_size, stat.st_mtime_ns) for name, stat in files]]
 
 

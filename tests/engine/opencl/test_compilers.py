@@ -69,9 +69,11 @@ def clang(source, standard, *options):
 @pytest.mark.parametrize("name", FILES)
 def test_clang_accepts_it_without_a_warning(name):
     source = expand(f"{name}.cl")
+    # Of a story's file only the kernel that tells it has a place for what is told.
+    warnings = (*WARNINGS, "-Wno-missing-field-initializers") if name.startswith("stories/") else WARNINGS
     for standard in STANDARDS:
         for options in variants(source):
-            clang(source, standard, *WARNINGS, "-Xclang", EXTENSIONS, *options, "-fsyntax-only")
+            clang(source, standard, *warnings, "-Xclang", EXTENSIONS, *options, "-fsyntax-only")
 
 
 def test_a_warning_is_an_error():

@@ -2,13 +2,16 @@
 
 import numpy as np
 import pyopencl as cl
+from twin_cases import run
 
+from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Step
 from gffe_cl.engine.stages.frame_block import FRAME
 
 
-def test_kernel_writes_the_block(case):
+def test_kernel_writes_the_block(device):
     """Every byte but padding, of the rendered frame and of the new one; members are where frame.h has them."""
+    case = run(device, 24, 18, Options(shading_correction=False))
     board = case.pipeline.board
     for slot, camera in (("rendered", None), ("new", case.to)):
         step = Step(board.bindings.rendered, board.bindings.previous, [0.1, 0.06], camera, 0.12, 0.6)

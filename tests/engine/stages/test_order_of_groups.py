@@ -12,7 +12,7 @@ from gffe_cl.engine.options import Options
 
 pytestmark = pytest.mark.device
 W, H = 48, 150
-OPTIONS = Options(shading_correction=False)
+OPTIONS = Options(shading_correction=False, levels=2)
 # Kernels in which several work-groups change one place, by atomics, or append to one list.
 SHARING = (
     "measure_samples",
