@@ -117,10 +117,11 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
         return found
     closely = [looks[k] for k in deep]
     step = quantization(closely)
-    search = Search(looks, deep, step)
+    undilated = clip.format is not None and clip.format.motion_dilated
+    search = Search(looks, deep, step, undilated)
     outcome = search.explain()
     if not step and outcome.findings and (step := quantization(closely, 2)):
-        search = Search(looks, deep, step)
+        search = Search(looks, deep, step, undilated)
         given = search.verdict(GIVEN)
         step, outcome = (step, Outcome([], GIVEN, given, given)) if given.fits else (0.0, outcome)
     lost = next((one for one in found.findings if isinstance(one, NeverWritten) and one.is_most), None)

@@ -87,10 +87,12 @@ class Outcome:
 
 class Search:
     """Search over readings of `looks`, of which `deep` are compared with the frames beside them. `step`: of quantized
-    motion vectors, pixels, or 0."""
+    motion vectors, pixels, or 0. `undilated`: whether vectors were undilated, which leaves few where cameras are
+    wrong."""
 
-    def __init__(self, looks: dict[int, Look], deep: list[int], step: float):
+    def __init__(self, looks: dict[int, Look], deep: list[int], step: float, undilated: bool):
         self.looks, self.deep, self._step = looks, deep, step
+        self._sound = _LEAST if undilated else _SOUND
         self.bench = lru_cache(None)(self._bench)
 
     def _bench(self, rows: str = "down", offset: tuple[str, int] = ("", 0), thin: bool = False) -> Bench:
@@ -197,7 +199,7 @@ class Search:
         if not rivals:
             return Outcome([] if given.fits else [_unexplained(given)], GIVEN, given, given)
         best, others = self._best(rivals)
-        if best.share < _SOUND:
+        if best.share < self._sound:
             return Outcome([_unexplained(given)], GIVEN, given, given)
         if not others:
             return Outcome(best.reading.findings(self.stored), best.reading, given, best)
