@@ -5,6 +5,7 @@ import re
 import subprocess
 import sys
 
+import pytest
 import tiny_sequence
 
 BLOCKED = """
@@ -44,6 +45,7 @@ open(report, "w").write(json.dumps([codes, unknown]))
 """
 
 
+@pytest.mark.long
 def test_only_those_who_need_packages_ask_for_them(tmp_path):
     tiny_sequence.write(tmp_path / "in", frames=5)
     paths = [str(tmp_path / name) for name in ("in", "out", "report.json")]

@@ -42,6 +42,7 @@ def test_bench(gffe, tmp_path):
         assert min(scn[:5]) > 0 and scn[5] >= 0 and parts["SCN"] == pytest.approx(sum(scn))
 
 
+@pytest.mark.long
 def test_bench_of_upscaling(gffe, tmp_path):
     """A row of its own, beside GAE of the smaller frames."""
     options = ("--sizes", "64x48", "--repeats", 1, "--json", tmp_path / "b.json", "--kernels")
@@ -54,6 +55,7 @@ def test_bench_of_upscaling(gffe, tmp_path):
         assert parts["GAE"] == pytest.approx(sum(ms for name, ms in parts.items() if name not in ("GAE", "upscaling")))
 
 
+@pytest.mark.long
 def test_bench_of_a_sequence(gffe, tmp_path):
     tiny_sequence.write(tmp_path / "in", frames=5)
     code, text, _ = gffe("bench", tmp_path / "in", "--repeats", 2, "--kernels", "--json", tmp_path / "b.json")

@@ -54,6 +54,7 @@ SMALL = ("--size", "128x72", "--frames", 4)
 FEW = "gffe,no-motion,adaptive-window,motion-vectors,guided,interpolation,repeat"
 
 
+@pytest.mark.long
 def test_eval(gffe, tmp_path, monkeypatch):
     """A scene and a sequence on disk, a network, late warp; and again, with nothing to do."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")

@@ -178,6 +178,7 @@ def nbytes(kind, structs):
     return 8 if kind.endswith("*") else {"float": 4, "half": 2, "i1": 1}.get(kind) or int(kind.removeprefix("i")) // 8
 
 
+@pytest.mark.long
 @pytest.mark.parametrize("lanes", MOST_PRIVATE)
 def test_kernels_are_modest(lanes):
     found = {}

@@ -134,7 +134,7 @@ print(made.numpy("color").mean())
 """
 
 
-@pytest.mark.parametrize("leaves", ["keeps", "drops"])
+@pytest.mark.parametrize("leaves", ["keeps", pytest.param("drops", marks=pytest.mark.long)])
 def test_children_of_a_pipeline_with_the_network_end(device, leaves, tmp_path):
     """onnxruntime would wait for the threads of its session, which are the parent's."""
     if device.info.kind != "cpu":

@@ -71,6 +71,7 @@ def test_all_forms_of_kernels_give_the_recorded_bits(device):
     assert {form.name: differences(device, form) for form in tried} == {form.name: {} for form in tried}, STALE
 
 
+@pytest.mark.long
 @pytest.mark.usefixtures("weights")
 def test_the_form_of_gpus_gives_the_recorded_bits(device):
     form = next(form for form in forms_of(device) if form.lanes == 1)

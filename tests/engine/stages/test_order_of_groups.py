@@ -57,7 +57,7 @@ def bits(pipeline):
     }
 
 
-@pytest.mark.parametrize("int64", [True, False])
+@pytest.mark.parametrize("int64", [True, pytest.param(False, marks=pytest.mark.long)])
 def test_the_order_of_work_groups_changes_no_bit(device, monkeypatch, int64):
     int64 = int64 and device.int64_atomics
     expected = bits(run(device, W, H, OPTIONS, int64).pipeline)

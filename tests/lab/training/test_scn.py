@@ -225,6 +225,7 @@ def started(folder, data, recipe=RECIPE):
     return Training(folder, recipe, list_crops(data, 3, CLIPS), clips=CLIPS)
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_clips_are_cached_and_resumable(data, opened):
     assert data_module.make_clips(data, opened, 3, CLIPS) == 0
@@ -349,6 +350,7 @@ def interrupt(now):
         raise KeyboardInterrupt
 
 
+@pytest.mark.long
 @pytest.mark.slow
 def test_checkpoints_of_other_runs_are_refused(data, tmp_path, monkeypatch):
     training = started(tmp_path, data, Recipe(seed=3, steps=2, batch=2))
