@@ -12,21 +12,12 @@ from gffe_cl.engine.core import validation
 from gffe_cl.engine.export.recording import MOST_PIXELS, Given, Launches, Operation
 from gffe_cl.engine.frame import camera, frame_format
 from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_POSE
-from gffe_cl.engine.inference.layers import MULTIPLE
-from gffe_cl.engine.opencl.probing import DIVISION_SOURCE, INT64_SOURCE
+from gffe_cl.engine.opencl.probing import TRIALS
 from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages import frame_block, measures
 from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage
-from gffe_cl.engine.stages.buffers import (
-    BLOCK,
-    CUT_SAMPLES,
-    LEAST_ALIGNMENT,
-    RESIDUAL_ROWS,
-    WALKERS,
-    BufferSpec,
-    grid_of,
-)
+from gffe_cl.engine.stages.buffers import CUT_SAMPLES, LEAST_ALIGNMENT, BufferSpec, grid_of
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
 
@@ -50,21 +41,19 @@ OCCASIONS = (
 # Inputs from callers, and their displayed part: name, grid and bytes.
 GIVEN = {
     **{
-        f"{frame}.{name}": ("SOURCE", nbytes)
+        f"{frame}.{name}": ("source", nbytes)
         for frame in ("rendered", "previous")
         for name, nbytes in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)
     },
-    "shown.color": ("TARGET", 8),
-    "shown.depth": ("SOURCE", 4),
-    "overlays.fixed_mask": ("SOURCE", 1),
-    "overlays.effects": ("SOURCE", 8),
-    "overlays.effects_motion": ("SOURCE", 8),
-    "overlays.ui": ("TARGET", 8),
-    **{
-        f"engine.{name}": ("SOURCE", nbytes)
-        for name, nbytes in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)
-    },
+    "shown.color": ("target", 8),
+    "shown.depth": ("source", 4),
+    "overlays.fixed_mask": ("source", 1),
+    "overlays.effects": ("source", 8),
+    "overlays.effects_motion": ("source", 8),
+    "overlays.ui": ("target", 8),
+    **{f"engine.{name}": ("source", n) for name, n in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)},
 }
+_NAMED_GRIDS = ("source", "target", "network", "cells", "cut_samples")  # in C's own code
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
 # Fields of two choices, which are flags in C: whether it is the second one.
@@ -81,16 +70,6 @@ def config(options: Options) -> str:
     """Return gffe_config.h: constants from Python's modules, and the options."""
     numbers = {
         "MOST_PIXELS": MOST_PIXELS,
-        "DOWNSAMPLING": grid_of("downsampled").texel[0],
-        "RESIDUAL_STRIDE": grid_of("residuals").texel[0],
-        "RESIDUAL_ROWS": RESIDUAL_ROWS,
-        "BLOCK_WIDTH": BLOCK[0],
-        "BLOCK_HEIGHT": BLOCK[1],
-        "WALKERS": WALKERS,
-        "CELL": grid_of("cells").texel[0],
-        "RUN_PIXELS": grid_of("runs").texel[0],
-        "NETWORK_TEXEL": grid_of("network").texel[0],
-        "NETWORK_MULTIPLE": MULTIPLE,
         "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
         "MAX_LEVELS": MAX_LEVELS,
         "MOST_TIMES": MAX_ORDER + 1,
@@ -113,7 +92,6 @@ def config(options: Options) -> str:
         "HEADROOM": frame_block.HEADROOM,
         "CUT_DETECTION": int(options.cut_detection),
         "UPSCALES": int(options.upscale > 0),
-        "CUT_SAMPLES_X": CUT_SAMPLES[0],
         "CUT_SAMPLES_Y": CUT_SAMPLES[1],
         "CUT_LEAST_SAMPLES": measures.LEAST_SAMPLES,
         "CUT_LEAST_OVERLAP": measures.LEAST_OVERLAP,
@@ -124,11 +102,21 @@ def config(options: Options) -> str:
         "CUT_TELEPORT": measures.TELEPORT,
     }
     lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
-    counted = ", ".join(f"GFFE_{name.upper()}" for name in measures.COUNTED)
-    lines.append(f"enum {{ {counted}, GFFE_COUNTED }}; /* of the samples of a cut */")
+    enums = {  # by the name of their number of members
+        "counted": measures.COUNTED,
+        "occasions": OCCASIONS,
+        "named_grids": _NAMED_GRIDS,
+        "first_buffers": [f"{name} = {2 * number}" for number, name in enumerate(GIVEN)],  # references
+    }
+    for most, names in enums.items():
+        lines.append(f"enum {{ {', '.join(_constant_of(name) for name in (*names, most))} }};")
     lines.append(_frame_block())
     guard = '#ifndef GFFE_CONFIG_H\n#define GFFE_CONFIG_H\n\n#include "gffe.h"\n\n'
     return _HEADER + guard + "\n".join(lines) + "\n\n#endif\n"
+
+
+def _constant_of(name: str) -> str:
+    return f"GFFE_{name.upper().replace('.', '_')}"
 
 
 class Tables:
@@ -147,6 +135,7 @@ class Tables:
         )
         self.programs = sorted({stage for stage, _ in self.launched})
         self.constants = bytearray(4)  # words; there is at least one
+        self.grids = [*_NAMED_GRIDS]
         self._counts: list[tuple[int, int]] = []  # of each plan's buffers and initial contents
 
     def text(self) -> str:
@@ -155,12 +144,12 @@ class Tables:
             *map(self._source, self.programs),
             self._programs(),
         ]
-        parts += [_lines("gffe_int64_source", INT64_SOURCE), _lines("gffe_division_source", DIVISION_SOURCE)]
+        parts += map(_trial, TRIALS)
         parts.append(_table("gffe_kernel", "gffe_kernels", map(self._kernel, self.launched)))
         parts += [f"const int gffe_kernel_count = {len(self.launched)};\n", _format_tables()]
         plans = [self._plan(number, plan) for number, plan in enumerate(self.plans)]
         parts += [_words("gffe_constants", bytes(self.constants)), _words("gffe_facts", _facts(self.plans[0]))]
-        parts += plans
+        parts += [_table("gffe_grid", "gffe_grids", map(_layout, self.grids)), *plans]
         parts.append(_table("gffe_plan", "gffe_plans", self._plan_rows()))
         return "\n".join(parts)
 
@@ -170,7 +159,7 @@ class Tables:
         return self.plans[1].stages[name]
 
     def _source(self, name: str) -> str:
-        return _lines(f"source_{name}", expand(f"{name}.cl"), static=True)
+        return _lines(f"source_{name}", expand(f"{name}.cl"))
 
     def _programs(self) -> str:
         rows = []
@@ -198,14 +187,14 @@ class Tables:
     # ---- plans -----------------------------------------------------------------------------------------
 
     def _plan(self, number: int, plan: Launches) -> str:
-        buffers = _Buffers(plan)
+        buffers = _Buffers(plan, self.grids)
         rows = [buffers.row(name) for name in buffers.names]
         parts = [_table("gffe_buffer", f"buffers_{number}", rows, static=True)]
         arguments: list[str] = []
         for occasion in OCCASIONS:
             operations = plan.operations[occasion]
             made = [self._operation(operation, buffers, arguments) for operation in operations]
-            parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0, 0"], True))
+            parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0"], True))
         parts.insert(1, _table("gffe_argument", f"arguments_{number}", arguments, static=True))
         initial = []
         for name, content in plan.initial.items():
@@ -226,10 +215,10 @@ class Tables:
         first = len(arguments)
         arguments += [self._argument(given, buffers) for given in operation.arguments]
         kernel = self.launched.index((operation.stage, operation.kernel)) if operation.kernel else 0
-        grid, level = _grid(operation.grid)
+        grid = buffers.grid(operation.grid)
         target = buffers.reference(operation.buffer) if operation.buffer else "0"
         other = buffers.reference(operation.source) if operation.source else str(operation.byte)
-        return f"GFFE_{operation.kind}, {kernel}, {grid}, {level}, {operation.repeats}, {first}, {target}, {other}"
+        return f"GFFE_{operation.kind}, {kernel}, {grid}, {operation.repeats}, {first}, {target}, {other}"
 
     def _argument(self, given: Given, buffers: _Buffers) -> str:
         if given.buffer is not None:
@@ -251,19 +240,20 @@ class Tables:
         return (len(self.constants) - len(content)) // 4
 
 
-def _grid(name: str) -> tuple[str, int]:
-    """Return the C name of a grid of `BufferSpec`, and its level or number of levels; gffe_values.c computes its
-    size."""
-    grid = grid_of(name)
-    return f"GFFE_{grid.kind.upper()}", grid.level
+def _layout(name: str) -> str:
+    """Return the row of a grid, whose size gffe_values.c computes."""
+    layout = grid_of(name).layout
+    sides = [f"{{{first}, {second}}}" for first, second in (layout.texel, layout.most, layout.more)]
+    flags = int(layout.is_of_source), int(layout.is_flat)
+    return f"{flags[0]}, {sides[0]}, {layout.multiple}, {flags[1]}, {layout.columns}, {sides[1]}, {sides[2]}, {layout.levels}"
 
 
 class _Buffers:
     """The plan's buffers in C: those that launches name, those for callers, and memory that contains them. Parts
     come after their wholes."""
 
-    def __init__(self, plan: Launches):
-        self.plan = plan
+    def __init__(self, plan: Launches, grids: list[str]):
+        self.plan, self.grids = plan, grids
         named = {
             name.removesuffix("'")
             for operations in plan.operations.values()
@@ -281,19 +271,25 @@ class _Buffers:
         """Return a buffer's reference: twice its number, plus one for the previous frame's."""
         return str(2 * self.names.index(name.removesuffix("'")) + name.endswith("'"))
 
+    def grid(self, name: str) -> int:
+        """Return a grid's number. It is appended if it is not there yet."""
+        if name not in self.grids:
+            self.grids.append(name)
+        return self.grids.index(name)
+
     def row(self, name: str) -> str:
         """Return the buffer's row of the C table."""
         if name in GIVEN:
             grid, nbytes = GIVEN[name]
-            return f'"{name}", GFFE_{grid}, 0, {nbytes}, 1, 0, 0, -1, GFFE_GIVEN, -1, -1'
+            return f'"{name}", {self.grid(grid)}, 0, {nbytes}, 1, 0, 0, -1, GFFE_GIVEN, -1, -1'
         spec, whole = self.specs[name], _whole(name, self.specs[name])
-        grid, level = _grid(spec.grid)
         flags = ["GFFE_KEPT"] * spec.kept
         late = {"presentation": ["GFFE_LATE"], "composition": ["GFFE_OF_OVERLAYS"], "upload": ["GFFE_OF_FORMATS"]}
         flags += late.get(name.partition(".")[0], []) + ["GFFE_MEMORY"] * (name in self.memory)
         flags += ["GFFE_LENT"] * (name in self.plan.lent) + ["GFFE_LENT_BEFORE"] * (f"{name}'" in self.plan.lent)
         planes = 1 if name in self.memory else spec.planes
         number = self.names.index(whole) if whole else -1
+        grid, level = self.grid(spec.grid), grid_of(spec.grid).level
         numbers = f"{grid}, {level}, {spec.bytes_per_pixel}, {planes}, {spec.border}, {spec.byte}, {number}"
         return f'"{name}", {numbers}, {" | ".join(flags) or "0"}, {self._use(name)}'
 
@@ -318,12 +314,19 @@ def _whole(name: str, spec: BufferSpec) -> str | None:
     return f"{name.partition('.')[0]}.{spec.part_of}" if spec.part_of else None
 
 
-def _lines(name: str, text: str, static: bool = False) -> str:
+def _lines(name: str, text: str) -> str:
     """Return C code for a text as an array of lines: not every compiler takes long literals."""
     rows = [json.dumps(line + "\n", ensure_ascii=True) for line in text.splitlines()]
-    kind = "static const char *const" if static else "const char *const"
-    count = "" if static else f"const int {name}_count = {len(rows)};\n"
-    return f"{kind} {name}[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n{count}"
+    return f"static const char *const {name}[] = {{\n    {f',{chr(10)}    '.join(rows)}\n}};\n"
+
+
+def _trial(capability: str) -> str:
+    """Return a kernel that shows a capability of devices."""
+    name, source, items, expected = TRIALS[capability]
+    lines = f"source_{capability}, {len(source.splitlines())}"
+    numbers = ", ".join(f"(cl_ulong){number >> 32}u << 32 | {number & 0xFFFFFFFF}u" for number in expected)
+    row = f'"{name}", {lines}, {items}, {{{numbers}}}'
+    return _lines(f"source_{capability}", source) + f"const gffe_trial gffe_{capability} = {{{row}}};\n"
 
 
 def _words(name: str, content: bytes) -> str:

@@ -195,6 +195,49 @@ __kernel void least(__global ulong *a) {
     atom_min(a + (i & 1), ((63ul - i) << 33) | i);
 }
 """
+# Divides and takes roots of numbers of either sign over twelve orders of magnitude, as scalars and as vectors, and
+# compares integer mantissas: found[0] becomes 0 where a result is not correctly rounded, and found[1] in any case.
+DIVISION_SOURCE = """
+uint scrambled(uint k) {
+    k = (k ^ k >> 16) * 0x7feb352du;
+    k = (k ^ k >> 15) * 0x846ca68bu;
+    return k ^ k >> 16;
+}
+float number(uint k) { return as_float((scrambled(k) & 0x807fffffu) | (107u + scrambled(~k) % 40u) << 23); }
+long mantissa(float x) { return (as_uint(x) & 0x7fffffu) | 0x800000u; }
+int exponent(float x) { return (int)(as_uint(x) >> 23 & 255u) - 127; }
+bool is_quotient(float q, float a, float b) {
+    const int less = mantissa(a) < mantissa(b);
+    const long rest = (mantissa(a) << (23 + less)) - mantissa(q) * mantissa(b);
+    return 2 * abs(rest) <= (ulong)mantissa(b) && exponent(q) == exponent(a) - exponent(b) - less
+           && (as_uint(q) ^ as_uint(a) ^ as_uint(b)) >> 31 == 0u;
+}
+bool is_root(float r, float x) {
+    const int odd = exponent(x) & 1;
+    const long rest = (mantissa(x) << (23 + odd)) - mantissa(r) * mantissa(r);
+    return abs(rest) <= (ulong)mantissa(r) && 2 * exponent(r) == exponent(x) - odd && as_uint(r) >> 31 == 0u;
+}
+__kernel void divide(__global ulong *found) {
+    float a[8], b[8], quotients[8], roots[8];
+    for (int k = 0; k < 8; ++k) {
+        a[k] = number(2 * (8 * get_global_id(0) + k));
+        b[k] = number(2 * (8 * get_global_id(0) + k) + 1);
+    }
+    vstore8(vload8(0, a) / vload8(0, b), 0, quotients);
+    vstore8(sqrt(fabs(vload8(0, a))), 0, roots);
+    bool is_right = is_quotient(a[0] / b[0], a[0], b[0]);
+    for (int k = 0; k < 8; ++k)
+        is_right = is_right && is_quotient(quotients[k], a[k], b[k]) && is_root(roots[k], a[k]);
+    if (!is_right) found[0] = 0;
+    found[1] = 0;
+}
+"""
+ALL_ONES = (1 << 64) - 1
+# Kernels that show a capability: its name, source, work-items, and what they make of two numbers of ones.
+TRIALS = {
+    "int64_atomics": ("least", INT64_SOURCE, 64, ((1 << 33) | 62, 63)),
+    "exact_division": ("divide", DIVISION_SOURCE, 1 << 16, (ALL_ONES, 0)),
+}
 
 
 def _run_probe_kernel(context, queue) -> float:
@@ -258,53 +301,30 @@ def quiet_builds():
 
 def try_int64_atomics(context: cl.Context, queue: cl.CommandQueue) -> bool:
     """Return whether a 64-bit atomic minimum builds and gives the right result on the device."""
-    import numpy as np
-
-    try:
-        with quiet_builds():
-            kernel = cl.Kernel(_built(queue, INT64_SOURCE), "least")
-        out = np.full(2, np.iinfo(np.uint64).max, np.uint64)
-        buffer = cl.Buffer(context, cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR, hostbuf=out)
-        kernel(queue, (64,), None, buffer)
-        cl.enqueue_copy(queue, out, buffer)
-    except (cl.Error, RuntimeError):
-        return False
-    return out.tolist() == [(1 << 33) | 62, 63]
-
-
-DIVISION_SOURCE = """
-__kernel void divide(__global const float *a, __global const float *b, __global float *one, __global float *eight,
-                     __global float *roots) {
-    const int i = get_global_id(0);
-    one[i] = a[i] / b[i];
-    vstore8(vload8(i, a) / vload8(i, b), i, eight);
-    vstore8(sqrt(fabs(vload8(i, a))), i, roots);
-}
-"""
+    return _succeeds(context, queue, *TRIALS["int64_atomics"])
 
 
 def try_exact_division(context: cl.Context, queue: cl.CommandQueue) -> bool:
     """Return whether plain division, of scalars and of vectors, and square roots are correctly rounded on the device,
     whatever the driver promises: all of half a million are."""
+    return _succeeds(context, queue, *TRIALS["exact_division"])
+
+
+def _succeeds(context: cl.Context, queue: cl.CommandQueue, name: str, source: str, items: int, expected: tuple) -> bool:
     import numpy as np
 
-    n = 1 << 16 if "oclgrind" not in os.environ.get("LD_PRELOAD", "") else 64
-    rng = np.random.default_rng(0)
-    a, b = ((rng.normal(size=8 * n) * 10 ** rng.uniform(-6, 6, 8 * n)).astype(np.float32) for _ in range(2))
-    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
+    found = np.full(2, ALL_ONES, np.uint64)
+    flags = cl.mem_flags.READ_WRITE | cl.mem_flags.COPY_HOST_PTR
+    items = min(items, 64) if "oclgrind" in os.environ.get("LD_PRELOAD", "") else items
     try:
         with quiet_builds():
-            kernel = cl.Kernel(_built(queue, DIVISION_SOURCE), "divide")
-        made = [cl.Buffer(context, cl.mem_flags.WRITE_ONLY, 4 * 8 * n) for _ in range(3)]
-        kernel(queue, (n,), None, *(cl.Buffer(context, flags, hostbuf=x) for x in (a, b)), *made)
-        one, eight, roots = (np.empty_like(a) for _ in made)
-        for array, buffer in zip((one, eight, roots), made, strict=True):
-            cl.enqueue_copy(queue, array, buffer)
+            kernel = cl.Kernel(_built(queue, source), name)
+        buffer = cl.Buffer(context, flags, hostbuf=found)
+        kernel(queue, (items,), None, buffer)
+        cl.enqueue_copy(queue, found, buffer)
     except (cl.Error, RuntimeError):
         return False
-    expected = a / b
-    right = np.array_equal(one[:n], expected[:n]) and np.array_equal(eight, expected)
-    return right and np.array_equal(roots, np.sqrt(np.abs(a)))
+    return tuple(found.tolist()) == expected
 
 
 # Sums of products of bytes as in convolutions.cl: of integers, and of floats, which hold them exactly.

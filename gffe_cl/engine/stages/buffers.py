@@ -12,7 +12,7 @@ from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cache
 from itertools import accumulate
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import pyopencl as cl
@@ -155,6 +155,22 @@ _LAID_OVER_NOTHING = (
 )
 
 
+class Layout(NamedTuple):
+    """How the size of a grid follows from those of the images, in C, too: one texel per `texel` pixels of the rendered
+    image (`is_of_source`) or the extrapolated one, sides rounded up to a `multiple`; `is_flat`: all in one row;
+    `columns`: so many, whatever the image; at `most` so many columns and rows (0: any), and `more` beyond that.
+    `levels`: so many background levels one after another, and nothing of the above."""
+
+    is_of_source: bool = False
+    texel: tuple[int, int] = (1, 1)
+    multiple: int = 1
+    is_flat: bool = False
+    columns: int = 0
+    most: tuple[int, int] = (0, 0)
+    more: tuple[int, int] = (0, 0)
+    levels: int = 0
+
+
 @dataclass(frozen=True)
 class Grid:
     """A grid of texels or work-items: its name in `BufferSpec` without the number at its end, and this number. It is
@@ -180,31 +196,42 @@ class Grid:
         halvings = self.level if self.kind in ("level", "network") else 0
         return width << halvings, height << halvings
 
-    def size(self, sizes: Sizes) -> tuple[int, int]:
-        """Return width and height in texels for images of `sizes`."""
+    @property
+    def layout(self) -> Layout:
+        """How its size follows from the sizes of the images."""
         match self.kind:
             case "once":
-                return 1, 1
+                return Layout(columns=1, most=(0, 1))
             case "levels":
-                return sizes.level_starts(self.level)[-1], 1
+                return Layout(levels=self.level)
             case "flat_level":
-                return math.prod(Grid("level", self.level).size(sizes)), 1
+                return Layout(True, Grid("level", self.level).texel, is_flat=True)
             case "list_source" | "list_target":
-                return 1 + math.prod(sizes.source if self.kind == "list_source" else sizes.target), 1
+                return Layout(self.kind == "list_source", is_flat=True, more=(1, 0))
             case "walk":
-                return min(math.prod(sizes.target), WALKERS), 1
+                return Layout(is_flat=True, most=(WALKERS, 0))
             case "cut_samples":
-                return CUT_SAMPLES[0], min(sizes.source[1], CUT_SAMPLES[1])
+                return Layout(True, columns=CUT_SAMPLES[0], most=(0, CUT_SAMPLES[1]))
             case "measures":
-                columns, rows = Grid("residuals").size(sizes)
-                return columns, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS + rows
+                return Layout(True, Grid("residuals").texel, more=(0, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS))
             case "predictions":
-                return sizes.source[0], sizes.source[1] + 1
-        image = sizes.source if self.lies_on_source else sizes.target
-        width, height = (-(-pixels // side) for pixels, side in zip(image, self.texel, strict=True))
-        if self.kind == "network":
-            multiple = MULTIPLE >> self.level
-            return -(-width // multiple) * multiple, -(-height // multiple) * multiple
+                return Layout(True, more=(0, 1))
+            case "network":
+                return Layout(False, self.texel, MULTIPLE >> self.level)
+        return Layout(self.lies_on_source, self.texel)
+
+    def size(self, sizes: Sizes) -> tuple[int, int]:
+        """Return width and height in texels for images of `sizes`."""
+        layout = self.layout
+        if layout.levels:
+            return sizes.level_starts(layout.levels)[-1], 1
+        image = sizes.source if layout.is_of_source else sizes.target
+        steps = (side * layout.multiple for side in layout.texel)
+        width, height = (-(-n // step) * layout.multiple for n, step in zip(image, steps, strict=True))
+        if layout.is_flat:
+            width, height = width * height, 1
+        made = zip((layout.columns or width, height), layout.most, layout.more, strict=True)
+        width, height = (min(n, most or n) + more for n, most, more in made)
         return width, height
 
 

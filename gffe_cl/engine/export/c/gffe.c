@@ -2,14 +2,46 @@
 #include "gffe.h"
 
 #include <math.h>
+#include <stdarg.h>
+#include <stdio.h>
 #include <stdlib.h>
 #include <string.h>
 
 #include "gffe_internal.h"
 
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
-#endif
+/* ---- errors -------------------------------------------------------------------------------------------- */
+
+gffe_status gffe_need(gffe *g, const void *argument, const char *name) {
+    if (!g || !g->is_ready) return GFFE_INVALID;
+    return argument ? GFFE_OK : gffe_fail(g, GFFE_INVALID, "%s must not be NULL", name);
+}
+
+gffe_status gffe_need_number(gffe *g, const char *name, double value, double low, double high) {
+    if (fabs(value) < GFFE_LARGEST && value >= low && value <= high) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "%s must be a finite number from %g to %g, got %g", name, low, high, value);
+}
+
+gffe_status gffe_need_whole(gffe *g, const char *name, int value, int low, int high) {
+    if (value >= low && value <= high) return GFFE_OK;
+    return gffe_fail(g, GFFE_INVALID, "%s must be a whole number from %d to %d, got %d", name, low, high, value);
+}
+
+gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...) {
+    va_list values;
+    va_start(values, format);
+    vsnprintf(g->message, sizeof g->message, format, values);
+    va_end(values);
+    return status;
+}
+
+gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing) {
+    const int memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES
+                       || error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
+    return gffe_fail(g, memory ? GFFE_OUT_OF_MEMORY : GFFE_OPENCL, "%s: OpenCL error %d%s", doing, (int)error,
+                     memory ? " (out of memory)" : "");
+}
+
+/* ---- options and device ------------------------------------------------------------------------------- */
 
 gffe_options gffe_default_options(int width, int height) {
     gffe_options made;
@@ -238,7 +270,7 @@ static gffe_status decide_cut(gffe *g) {
     clReleaseEvent(g->counted);
     g->counted = NULL;
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "waiting for the samples of a cut");
-    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, 0, size);
+    gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, size);
     for (row = 0; row < (int)size[1]; ++row)
         for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += g->cut_counts[row][k];
     g->is_cut = is_cut(sums, g->jumped);
@@ -435,7 +467,7 @@ gffe_status gffe_get(gffe *g, const char *name, gffe_image *found) {
     if (reference < 0 || !g->memory[reference] || g->plan->buffers[reference / 2].flags & GFFE_MEMORY)
         return gffe_fail(g, GFFE_INVALID, "there is no buffer '%.60s' (gffe_buffer_name lists them)", name);
     buffer = &g->plan->buffers[reference / 2];
-    gffe_grid_size(&g->step, buffer->grid, buffer->level, size);
+    gffe_grid_size(&g->step, buffer->grid, size);
     found->memory = g->memory[reference];
     found->width = size[0];
     found->height = size[1];

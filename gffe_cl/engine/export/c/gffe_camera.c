@@ -7,10 +7,6 @@
 
 #include "gffe_internal.h"
 
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
-#endif
-
 /* ---- vectors of three (gffe_cl/engine/frame/vectors.py) ------------------------------------------------ */
 
 static double dot(const double a[3], const double b[3]) { return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]; }

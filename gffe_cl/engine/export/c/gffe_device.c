@@ -1,18 +1,11 @@
 /* Kernels, and execution of lists of operations. */
-#include <math.h>
 #include <stdio.h>
 #include <stdlib.h>
-#include <string.h>
 
 #include "gffe_internal.h"
 
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
-#endif
-
 enum { TILE_WIDTH = 16, TILE_HEIGHT = 8 };      /* work-items of a work-group, unless a kernel specifies it ... */
 enum { ROW = 128 };                             /* ... and where lanes are several */
-enum { QUOTIENTS = 8 * 65536, EIGHT = 8 };      /* tried to see whether division is exact */
 
 /* ---- capabilities of the device ----------------------------------------------------------------------- */
 
@@ -23,92 +16,25 @@ static const char *rounding_options(const gffe *g) {
     return config & CL_FP_CORRECTLY_ROUNDED_DIVIDE_SQRT ? "-cl-fp32-correctly-rounded-divide-sqrt" : "";
 }
 
-/* Builds a program of one kernel that tests a capability; NULL: it does not build, so the device lacks it. */
-static cl_kernel try_kernel(gffe *g, const char *const *lines, int count, const char *name, cl_program *program) {
-    cl_kernel kernel = NULL;
-    cl_int error;
-    *program = clCreateProgramWithSource(g->context, (cl_uint)count, (const char **)lines, NULL, &error);
-    if (!*program) return NULL;
-    if (clBuildProgram(*program, 1, &g->device, rounding_options(g), NULL, NULL) == CL_SUCCESS)
-        kernel = clCreateKernel(*program, name, &error);
-    return kernel;
-}
-
-/* Runs a kernel over `size` work-items with `count` buffers, and returns whether that succeeded. */
-static int run_trial(gffe *g, cl_kernel kernel, const cl_mem *buffers, cl_uint count, size_t size) {
-    cl_uint k;
-    for (k = 0; k < count; ++k)
-        if (!buffers[k] || clSetKernelArg(kernel, k, sizeof buffers[k], &buffers[k]) != CL_SUCCESS) return 0;
-    return clEnqueueNDRangeKernel(g->queue, kernel, 1, NULL, &size, NULL, 0, NULL, NULL) == CL_SUCCESS;
-}
-
-static int has_int64_atomics(gffe *g) {
+/* Returns whether the device has a capability, which is tried; a kernel that does not build shows that it lacks it. */
+static int has_capability(gffe *g, const gffe_trial *trial) {
+    const cl_mem_flags flags = CL_MEM_READ_WRITE | CL_MEM_COPY_HOST_PTR;
     cl_ulong found[2] = {~(cl_ulong)0, ~(cl_ulong)0};
-    cl_program program = NULL;
-    cl_kernel kernel = try_kernel(g, gffe_int64_source, gffe_int64_source_count, "least", &program);
-    cl_mem buffer = clCreateBuffer(g->context, CL_MEM_READ_WRITE | CL_MEM_COPY_HOST_PTR, sizeof found, found, NULL);
-    int works = kernel && run_trial(g, kernel, &buffer, 1, 64)
-                && clEnqueueReadBuffer(g->queue, buffer, CL_TRUE, 0, sizeof found, found, 0, NULL, NULL) == CL_SUCCESS;
-    works = works && found[0] == (((cl_ulong)1 << 33) | 62) && found[1] == 63;
+    cl_int error;
+    cl_mem buffer = clCreateBuffer(g->context, flags, sizeof found, found, &error);
+    cl_program program = clCreateProgramWithSource(g->context, (cl_uint)trial->line_count,
+                                                   (const char **)trial->lines, NULL, &error);
+    cl_kernel kernel = NULL;
+    int works;
+    if (program && clBuildProgram(program, 1, &g->device, rounding_options(g), NULL, NULL) == CL_SUCCESS)
+        kernel = clCreateKernel(program, trial->name, &error);
+    works = buffer && kernel && clSetKernelArg(kernel, 0, sizeof buffer, &buffer) == CL_SUCCESS
+            && clEnqueueNDRangeKernel(g->queue, kernel, 1, NULL, &trial->items, NULL, 0, NULL, NULL) == CL_SUCCESS
+            && clEnqueueReadBuffer(g->queue, buffer, CL_TRUE, 0, sizeof found, found, 0, NULL, NULL) == CL_SUCCESS
+            && found[0] == trial->expected[0] && found[1] == trial->expected[1];
     if (buffer) clReleaseMemObject(buffer);
     if (kernel) clReleaseKernel(kernel);
     if (program) clReleaseProgram(program);
-    return works;
-}
-
-/* Fills in numbers of either sign over some twelve orders of magnitude. */
-static void fill_with_numbers(float *numbers, int count, cl_uint seed) {
-    int k;
-    for (k = 0; k < count; ++k) {
-        cl_uint bits;
-        seed = seed * 1664525u + 1013904223u;
-        bits = (seed & 0x807fffffu) | ((107u + (seed >> 24) % 40u) << 23);
-        seed = seed * 1664525u + 1013904223u;
-        bits ^= seed >> 16 & 0xffffu;
-        memcpy(&numbers[k], &bits, sizeof bits);
-    }
-}
-
-/* Returns whether `one` (as many as work-items) and `eight` are a / b, and `roots` the square roots of |a|, correctly
-   rounded. Those of doubles, rounded to float, are the reference. */
-static int are_exact(const float *a, const float *b, const float *one, const float *eight, const float *roots) {
-    int k;
-    for (k = 0; k < QUOTIENTS; ++k) {
-        const float right = (float)((double)a[k] / (double)b[k]), root = (float)sqrt(fabs((double)a[k]));
-        if (eight[k] != right || roots[k] != root || (k < QUOTIENTS / EIGHT && one[k] != right)) return 0;
-    }
-    return 1;
-}
-
-static int divides_exactly(gffe *g) {
-    const size_t nbytes = QUOTIENTS * sizeof(float);
-    const cl_mem_flags given = CL_MEM_READ_ONLY | CL_MEM_COPY_HOST_PTR;
-    float *numbers = (float *)malloc(5 * nbytes), *a = numbers, *b, *one, *eight, *roots;
-    cl_mem buffers[5] = {NULL, NULL, NULL, NULL, NULL};
-    cl_program program = NULL;
-    cl_kernel kernel = NULL;
-    int k, works = 0;
-    if (!numbers) return 0; /* then it is corrected, which is right everywhere */
-    b = a + QUOTIENTS;
-    one = b + QUOTIENTS;
-    eight = one + QUOTIENTS;
-    roots = eight + QUOTIENTS;
-    fill_with_numbers(a, QUOTIENTS, 1);
-    fill_with_numbers(b, QUOTIENTS, 2);
-    kernel = try_kernel(g, gffe_division_source, gffe_division_source_count, "divide", &program);
-    buffers[0] = clCreateBuffer(g->context, given, nbytes, a, NULL);
-    buffers[1] = clCreateBuffer(g->context, given, nbytes, b, NULL);
-    for (k = 2; k < 5; ++k) buffers[k] = clCreateBuffer(g->context, CL_MEM_WRITE_ONLY, nbytes, NULL, NULL);
-    works = kernel && run_trial(g, kernel, buffers, 5, QUOTIENTS / EIGHT)
-            && clEnqueueReadBuffer(g->queue, buffers[2], CL_TRUE, 0, nbytes, one, 0, NULL, NULL) == CL_SUCCESS
-            && clEnqueueReadBuffer(g->queue, buffers[3], CL_TRUE, 0, nbytes, eight, 0, NULL, NULL) == CL_SUCCESS
-            && clEnqueueReadBuffer(g->queue, buffers[4], CL_TRUE, 0, nbytes, roots, 0, NULL, NULL) == CL_SUCCESS
-            && are_exact(a, b, one, eight, roots);
-    for (k = 0; k < 5; ++k)
-        if (buffers[k]) clReleaseMemObject(buffers[k]);
-    if (kernel) clReleaseKernel(kernel);
-    if (program) clReleaseProgram(program);
-    free(numbers);
     return works;
 }
 
@@ -181,8 +107,8 @@ gffe_status gffe_open(gffe *g) {
     if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "querying the device");
     g->step.alignment = alignment / 8 > GFFE_LEAST_ALIGNMENT ? alignment / 8 : GFFE_LEAST_ALIGNMENT;
     g->lanes = g->options.lanes ? g->options.lanes : type & CL_DEVICE_TYPE_CPU && !(type & CL_DEVICE_TYPE_GPU) ? 8 : 1;
-    if (int64 < 0) int64 = has_int64_atomics(g);
-    g->exact_division = divides_exactly(g);
+    if (int64 < 0) int64 = has_capability(g, &gffe_int64_atomics);
+    g->exact_division = has_capability(g, &gffe_exact_division);
     g->plan = &gffe_plans[int64];
     g->programs = (cl_program *)calloc((size_t)gffe_program_count, sizeof *g->programs);
     g->kernels = (cl_kernel *)calloc((size_t)gffe_kernel_count, sizeof *g->kernels);
@@ -225,7 +151,7 @@ static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_
         error = clSetKernelArg(g->kernels[operation->kernel], k, nbytes, given);
     }
     if (error != CL_SUCCESS) return error;
-    gffe_grid_size(&g->step, operation->grid, operation->level, size);
+    gffe_grid_size(&g->step, operation->grid, size);
     group[0] = kernel->group ? (size_t)kernel->group : g->lanes > 1 ? (size_t)ROW : (size_t)TILE_WIDTH;
     group[1] = kernel->group ? (size_t)kernel->group_rows : g->lanes > 1 ? 1 : (size_t)TILE_HEIGHT;
     size[0] = (size[0] + (size_t)step_of(g, kernel->step_x) - 1) / (size_t)step_of(g, kernel->step_x);
@@ -239,7 +165,7 @@ static cl_int fill(gffe *g, const gffe_operation *operation) {
     const gffe_buffer *buffer = &g->plan->buffers[operation->buffer / 2];
     const cl_uchar byte = (cl_uchar)operation->other;
     size_t size[2];
-    gffe_grid_size(&g->step, operation->grid, operation->level, size);
+    gffe_grid_size(&g->step, operation->grid, size);
     return clEnqueueFillBuffer(g->queue, g->memory[operation->buffer], &byte, 1, 0,
                                size[0] * size[1] * (size_t)buffer->bytes * (size_t)buffer->planes, 0, NULL, NULL);
 }

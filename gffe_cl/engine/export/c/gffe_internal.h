@@ -5,32 +5,13 @@
 #include "gffe.h"
 #include "gffe_config.h"
 
+#if defined(__clang__)
+#pragma STDC FP_CONTRACT OFF
+#endif
+
 #ifdef __cplusplus
 extern "C" {
 #endif
-
-/* Grids of buffers and launches; a level or a number of levels goes with the last three. */
-enum {
-    GFFE_ONCE,
-    GFFE_SOURCE,
-    GFFE_TARGET,
-    GFFE_DOWNSAMPLED,
-    GFFE_RESIDUALS,
-    GFFE_CUT_SAMPLES,
-    GFFE_MEASURES,
-    GFFE_PREDICTIONS,
-    GFFE_SOURCE_BLOCKS,
-    GFFE_TARGET_BLOCKS,
-    GFFE_CELLS,
-    GFFE_RUNS,
-    GFFE_NETWORK,
-    GFFE_WALK,
-    GFFE_LIST_SOURCE,
-    GFFE_LIST_TARGET,
-    GFFE_LEVEL,
-    GFFE_FLAT_LEVEL,
-    GFFE_LEVELS
-};
 
 enum { GFFE_COLOR, GFFE_DEPTH, GFFE_MOTION, GFFE_BUFFERS }; /* of an engine */
 
@@ -44,26 +25,6 @@ enum {
 };
 
 enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY };
-
-/* Occasions, each with a list of operations; those of a frame without one before come first. */
-enum {
-    GFFE_RENDERED_FIRST,
-    GFFE_RENDERED,
-    GFFE_EXTRAPOLATED_FIRST,
-    GFFE_EXTRAPOLATED,
-    GFFE_CUT,
-    GFFE_PRESENT_FIRST,
-    GFFE_PRESENT,
-    GFFE_LEAVE_OUT,
-    GFFE_COMPOSE,
-    GFFE_COMPOSE_RENDERED,
-    GFFE_CONVERT_COLOR,
-    GFFE_CONVERT_GEOMETRY,
-    GFFE_CONVERT_SMALL,
-    GFFE_CONVERT_DILATED,
-    GFFE_CONVERT_SMALL_DILATED,
-    GFFE_OCCASIONS
-};
 
 enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
 enum {
@@ -87,23 +48,29 @@ enum {
     GFFE_OF_OVERLAYS = 128
 };
 
-/* References of the callers' buffers, which are the first ones of every plan. */
-enum {
-    GFFE_RENDERED_COLOR = 0,
-    GFFE_RENDERED_DEPTH = 2,
-    GFFE_RENDERED_MOTION = 4,
-    GFFE_PREVIOUS_COLOR = 6,
-    GFFE_SHOWN_COLOR = 12,
-    GFFE_SHOWN_DEPTH = 14,
-    GFFE_FIRST_OVERLAY = 16,
-    GFFE_ENGINE_COLOR = 24
-};
+/* Grid of buffers or launches: `Layout` of gffe_cl/engine/stages/buffers.py. */
+typedef struct gffe_grid {
+    int is_of_source;
+    size_t texel[2], multiple;
+    int is_flat;
+    size_t columns, most[2], more[2];
+    int levels;
+} gffe_grid;
 
 typedef struct gffe_program {
     const char *name;
     const char *const *lines;
     int line_count, flags;
 } gffe_program;
+
+/* Kernel that shows a capability of devices: what it makes of two numbers all of whose bits are set. */
+typedef struct gffe_trial {
+    const char *name;
+    const char *const *lines;
+    int line_count;
+    size_t items;
+    cl_ulong expected[2];
+} gffe_trial;
 
 typedef struct gffe_kernel {
     int program;
@@ -135,7 +102,7 @@ typedef struct gffe_argument {
 
 typedef struct gffe_operation {
     int kind, kernel;
-    int grid, level; /* of its work-items, before a kernel's step, or of the texels that are filled */
+    int grid;     /* of its work-items, before a kernel's step, or of the texels that are filled */
     int repeats;     /* how often the grid is repeated, in a third dimension */
     int first;    /* of its arguments */
     int buffer;   /* reference: twice a buffer's number, plus 1 for its copy of the frame before */
@@ -178,6 +145,7 @@ extern const gffe_field gffe_fields[];
 extern const int gffe_field_count;
 extern const double gffe_type_most[]; /* by type: the stored number that stands for 1, and bytes */
 extern const size_t gffe_type_bytes[];
+extern const gffe_grid gffe_grids[];
 extern const gffe_program gffe_programs[];
 extern const int gffe_program_count;
 extern const gffe_kernel gffe_kernels[];
@@ -185,10 +153,7 @@ extern const int gffe_kernel_count;
 extern const cl_uint gffe_constants[];
 extern const cl_uint gffe_facts[]; /* a frame block with the values that are the same for all frames */
 extern const gffe_plan gffe_plans[2]; /* without and with 64-bit atomics */
-extern const char *const gffe_int64_source[];
-extern const int gffe_int64_source_count;
-extern const char *const gffe_division_source[];
-extern const int gffe_division_source_count;
+extern const gffe_trial gffe_int64_atomics, gffe_exact_division;
 
 /* The current work, and the host's values for it. */
 typedef struct gffe_step {
@@ -258,7 +223,7 @@ gffe_camera gffe_scaled(const gffe_camera *camera, double scale_x, double scale_
 int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display);
 
 /* gffe_values.c */
-void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]);
+void gffe_grid_size(const gffe_step *step, int number, size_t size[2]);
 size_t gffe_aligned(const gffe_step *step, size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
@@ -275,18 +240,9 @@ int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
 void gffe_swap(gffe *g, int overlays); /* 0 or GFFE_OF_OVERLAYS: those buffers */
 
 /* gffe_format.c */
-gffe_status gffe_check_format(gffe *g, const gffe_format *format);
-size_t gffe_texel_bytes(const gffe_format *format, int buffer);
-/* Computes width and height of depth and motion. */
-void gffe_geometry_of(const gffe_format *format, const int source[2], int size[2]);
-int gffe_is_small(const gffe_step *step); /* whether geometry is smaller than color */
-/* Return whether buffers are as the stages read them. */
-int gffe_is_color_ours(const gffe_format *format);
-int gffe_is_geometry_ours(const gffe_step *step);
 /* Fills the part of a converted frame's block that describes the given buffers. */
 void gffe_fill_given(const gffe_step *step, gffe_frame_block *block);
 
-/* gffe_conversion.c */
 gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]);
 /* Gives the buffers of the frame for the stages, converted ones where that is needed. */
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]);
@@ -295,12 +251,11 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous);
 void gffe_drop_converted(gffe *g);
 
 /* gffe_overlays.c */
-int gffe_has_overlays(const gffe *g);
 gffe_status gffe_take_overlays(gffe *g);
 gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
 void gffe_drop_overlays(gffe *g);
 
-/* gffe_errors.c */
+/* gffe.c */
 /* Returns GFFE_INVALID unless `g` was created without error and `argument`, of that name, is not NULL. */
 gffe_status gffe_need(gffe *g, const void *argument, const char *name);
 /* Return GFFE_INVALID unless the value of that name is a number below GFFE_LARGEST, from `low` to `high`. */

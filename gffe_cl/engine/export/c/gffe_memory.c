@@ -154,7 +154,7 @@ gffe_status gffe_check_buffer(gffe *g, cl_mem buffer, const char *name, int refe
     const gffe_buffer *like = &g->plan->buffers[reference / 2];
     size_t sides[2];
     int size[2];
-    gffe_grid_size(&g->step, like->grid, like->level, sides);
+    gffe_grid_size(&g->step, like->grid, sides);
     size[0] = (int)sides[0];
     size[1] = (int)sides[1];
     return gffe_check_bytes(g, buffer, name, size, (size_t)like->bytes);

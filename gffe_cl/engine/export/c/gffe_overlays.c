@@ -26,12 +26,12 @@ gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays) {
     if (given[2] && !given[1])
         return gffe_fail(g, GFFE_INVALID, "frame: effects_motion without effects (expected both, or effects alone)");
     for (k = 0; k < LAYERS && !status; ++k)
-        if (given[k]) status = gffe_check_buffer(g, given[k], NAMES[k], GFFE_FIRST_OVERLAY + 2 * k);
+        if (given[k]) status = gffe_check_buffer(g, given[k], NAMES[k], GFFE_OVERLAYS_FIXED_MASK + 2 * k);
     for (k = 0; k < LAYERS && !status; ++k) hold(&g->overlays[k], given[k]);
     return status;
 }
 
-int gffe_has_overlays(const gffe *g) {
+static int has_overlays(const gffe *g) {
     int k, any = 0;
     for (k = 0; k < LAYERS; ++k) any = any || g->step.has[k];
     return any;
@@ -42,12 +42,12 @@ gffe_status gffe_take_overlays(gffe *g) {
     gffe_status status = GFFE_OK;
     int k;
     for (k = 0; k < LAYERS; ++k) {
-        hold(&g->memory[GFFE_FIRST_OVERLAY + 2 * k], g->overlays[k]);
+        hold(&g->memory[GFFE_OVERLAYS_FIXED_MASK + 2 * k], g->overlays[k]);
         g->step.has[k] = g->overlays[k] != NULL;
         hold(&g->overlays[k], NULL);
     }
     hold(&g->memory[GFFE_SHOWN_DEPTH], g->memory[GFFE_RENDERED_DEPTH]);
-    if (gffe_has_overlays(g) && !g->memory[own]) status = gffe_allocate(g, GFFE_OF_OVERLAYS);
+    if (has_overlays(g) && !g->memory[own]) status = gffe_allocate(g, GFFE_OF_OVERLAYS);
     if (status || !g->memory[own]) return status;
     gffe_swap(g, GFFE_OF_OVERLAYS);
     if (!g->step.has[0]) return GFFE_OK;
@@ -58,7 +58,7 @@ gffe_status gffe_take_overlays(gffe *g) {
 
 gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made) {
     gffe_status status;
-    if (!gffe_has_overlays(g)) return GFFE_OK;
+    if (!has_overlays(g)) return GFFE_OK;
     g->memory[GFFE_SHOWN_COLOR] = made->color;
     status = gffe_run(g, occasion);
     g->memory[GFFE_SHOWN_COLOR] = NULL;

@@ -4,10 +4,6 @@
 
 #include "gffe_internal.h"
 
-#if defined(__clang__)
-#pragma STDC FP_CONTRACT OFF
-#endif
-
 static size_t rounded_up(size_t n, size_t side) { return (n + side - 1) / side; }
 
 size_t gffe_aligned(const gffe_step *step, size_t n) { return rounded_up(n, step->alignment) * step->alignment; }
@@ -23,64 +19,27 @@ size_t gffe_level_start(const gffe_step *step, int level) {
     return start;
 }
 
-void gffe_grid_size(const gffe_step *step, int grid, int level, size_t size[2]) {
-    const int on_source = grid == GFFE_SOURCE || grid == GFFE_SOURCE_BLOCKS || grid == GFFE_CELLS
-                          || grid == GFFE_RESIDUALS || grid == GFFE_RUNS || grid == GFFE_LEVEL;
-    const int *image = on_source ? step->source : step->target;
-    size_t side[2] = {1, 1};
+void gffe_grid_size(const gffe_step *step, int number, size_t size[2]) {
+    const gffe_grid *grid = &gffe_grids[number];
+    const int *image = grid->is_of_source ? step->source : step->target;
     int k;
-    if (grid == GFFE_ONCE || grid == GFFE_LEVELS) {
-        size[0] = grid == GFFE_ONCE ? 1 : gffe_level_start(step, level);
+    for (k = 0; k < 2; ++k)
+        size[k] = rounded_up((size_t)image[k], grid->texel[k] * grid->multiple) * grid->multiple;
+    if (grid->is_flat || grid->levels) {
+        size[0] = grid->levels ? gffe_level_start(step, grid->levels) : size[0] * size[1];
         size[1] = 1;
-        return;
     }
-    if (grid == GFFE_LIST_SOURCE || grid == GFFE_LIST_TARGET || grid == GFFE_FLAT_LEVEL || grid == GFFE_WALK) {
-        const int of = grid == GFFE_FLAT_LEVEL ? GFFE_LEVEL : grid == GFFE_LIST_SOURCE ? GFFE_SOURCE : GFFE_TARGET;
-        gffe_grid_size(step, of, level, size);
-        size[0] *= size[1];
-        size[1] = 1;
-        if (grid == GFFE_LIST_SOURCE || grid == GFFE_LIST_TARGET) size[0] += 1;
-        if (grid == GFFE_WALK && size[0] > GFFE_WALKERS) size[0] = GFFE_WALKERS;
-        return;
-    }
-    if (grid == GFFE_CUT_SAMPLES) {
-        size[0] = GFFE_CUT_SAMPLES_X;
-        size[1] = (size_t)(step->source[1] < GFFE_CUT_SAMPLES_Y ? step->source[1] : GFFE_CUT_SAMPLES_Y);
-        return;
-    }
-    if (grid == GFFE_MEASURES) { /* the frame block's row, the samples of a cut, those of residuals */
-        gffe_grid_size(step, GFFE_RESIDUALS, 0, size);
-        size[1] += (1 + GFFE_CUT_SAMPLES_Y) * GFFE_RESIDUAL_ROWS;
-        return;
-    }
-    if (grid == GFFE_PREDICTIONS) { /* the frame block's row, after all others */
-        size[0] = (size_t)step->source[0];
-        size[1] = (size_t)step->source[1] + 1;
-        return;
-    }
-    if (grid == GFFE_LEVEL) side[0] = side[1] = (size_t)1 << level;
-    if (grid == GFFE_DOWNSAMPLED) side[0] = side[1] = GFFE_DOWNSAMPLING;
-    if (grid == GFFE_RESIDUALS) side[0] = side[1] = GFFE_RESIDUAL_STRIDE;
-    if (grid == GFFE_RUNS) side[0] = GFFE_RUN_PIXELS;
-    if (grid == GFFE_CELLS) side[0] = side[1] = GFFE_CELL;
-    if (grid == GFFE_NETWORK) side[0] = side[1] = (size_t)GFFE_NETWORK_TEXEL << level;
-    if (grid == GFFE_SOURCE_BLOCKS || grid == GFFE_TARGET_BLOCKS) {
-        side[0] = GFFE_BLOCK_WIDTH;
-        side[1] = GFFE_BLOCK_HEIGHT;
-    }
+    if (grid->columns) size[0] = grid->columns;
     for (k = 0; k < 2; ++k) {
-        size[k] = rounded_up((size_t)image[k], side[k]);
-        if (grid == GFFE_NETWORK) {
-            const size_t multiple = (size_t)GFFE_NETWORK_MULTIPLE >> level;
-            size[k] = rounded_up(size[k], multiple) * multiple;
-        }
+        if (grid->most[k] && size[k] > grid->most[k]) size[k] = grid->most[k];
+        size[k] += grid->more[k];
     }
 }
 
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     const size_t border = (size_t)buffer->border;
     size_t size[2];
-    gffe_grid_size(step, buffer->grid, buffer->level, size);
+    gffe_grid_size(step, buffer->grid, size);
     return (size[0] + 2 * border) * (size[1] + 2 * border) * (size_t)buffer->bytes * (size_t)buffer->planes;
 }
 
@@ -116,7 +75,7 @@ static void level_starts(const gffe_step *step, int levels, cl_int *made) {
 
 static void grid_sides(const gffe_step *step, int grid, cl_int *width, cl_int *height) {
     size_t size[2];
-    gffe_grid_size(step, grid, 0, size);
+    gffe_grid_size(step, grid, size);
     *width = (cl_int)size[0];
     *height = (cl_int)size[1];
 }
