@@ -6,9 +6,9 @@ launched for images of any size and in all circumstances: `record` compares seve
 
 from __future__ import annotations
 
-from collections import Counter
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -34,6 +34,7 @@ MOST_PIXELS = 16384  # each way, of the images that C takes
 # Rendered and extrapolated images: as wide and as high as C takes them, for there are levels that others do not have.
 _SIZES = ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
 _GEOMETRY = "depth", "motion"
+_WITH_FIRST = "rendered", "extrapolated", "present"  # occasions that differ without a frame before
 _LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion")  # that frames bring
 
 
@@ -71,9 +72,8 @@ class Operation:
 @dataclass
 class Launches:
     """Recorded operations by occasion: `operations["rendered"]` after a rendered frame, "rendered_first" after one
-    without a previous frame, and also "extrapolated", "present", "cut", "leave_out", "compose", "convert_color",
-    "convert_geometry" and "convert_small"; the `buffers` by their full names, `initial` contents of those that are no
-    images, memory that is `lent` while frames are extrapolated, and the stages in order."""
+    without a previous frame, and so on (`_Rehearsal.perform`); the `buffers` by their full names, `initial` contents of
+    those that are no images, memory that is `lent` while frames are extrapolated, and the stages in order."""
 
     operations: dict[str, list[Operation]]
     buffers: dict[str, BufferSpec]
@@ -145,21 +145,23 @@ class _Rehearsal:
 
     def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
         """Return the operations of each occasion, in one set of circumstances."""
-        step, composition = self._step(number, first), self.all[Composition.name]
-        rendered = replace(step, camera=None)
-        shown = self.board.device.buffer(1)
+        step, composition, stages = self._step(number, first), self.all[Composition.name], self.stages.values()
+        rendered, shown = replace(step, camera=None), self.board.device.buffer(1)
+        # The frame with its full depth. For other stages, overlays fixed in place are removed from it.
+        whole = replace(step.frame, depth=self.board.device.buffer(1))
         self.board.bindings.show(step.frame, step.previous)
         self._learn_names()
-        self.tape.names[id(shown)] = "shown.color"
+        self.tape.names |= {id(shown): "shown.color", id(whole.depth): "shown.depth"}
         composition.swap()  # `take` swaps, too
-        composition.take({name: composition.buffer[name] for name in OVERLAYS}, self._shown(step.frame))
+        composition.take({name: composition.buffer[name] for name in OVERLAYS}, whole)
         found = {"leave_out": self.tape.take()}
         composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
+        present, with_color = self.all[Presentation.name].present, Upscaling.name not in self.stages
         for occasion, work in (
-            ("cut", lambda: self._count_samples(rendered)),
-            ("rendered", lambda: self._take_rendered(rendered)),
-            ("extrapolated", lambda: [stage.extrapolated(step) for stage in self.stages.values()]),
-            ("present", lambda: self._present(rendered)),
+            ("cut", lambda: [stage.rendered(rendered) for stage in stages if stage.name == SceneCuts.name]),
+            ("rendered", lambda: [stage.rendered(rendered) for stage in stages if stage.name != SceneCuts.name]),
+            ("extrapolated", lambda: [stage.extrapolated(step) for stage in stages]),
+            ("present", lambda: present(step.frame, step.previous, with_color=with_color)),
             ("compose", lambda: composition.compose(shown, step.alpha)),
             ("compose_rendered", lambda: composition.compose(shown, 0.0, rendered=True)),
             ("convert_color", lambda: self._convert(rendered, "color")),
@@ -172,16 +174,7 @@ class _Rehearsal:
                 self.board.blocks.forget()
             work()
             found[occasion] = self.tape.take()
-        return found
-
-    def _shown(self, frame: DeviceFrame) -> DeviceFrame:
-        """Return the frame with its full depth. For other stages, overlays fixed in place are removed from it."""
-        shown = replace(frame, depth=self.board.device.buffer(1))
-        self.tape.names[id(shown.depth)] = "shown.depth"
-        return shown
-
-    def _present(self, step: Step) -> None:
-        self.all[Presentation.name].present(step.frame, step.previous, with_color=Upscaling.name not in self.stages)
+        return {f"{occasion}_first": found[occasion] for occasion in _WITH_FIRST} if first else found
 
     def _convert(self, step: Step, *names: str, is_small: bool = False, is_dilated: bool = False) -> None:
         width, height = (0, 0) if is_small else self.sizes.source
@@ -189,33 +182,15 @@ class _Rehearsal:
         places = {name: (self._engine[name], 0) for name in names}
         self.all[Upload.name].convert_places(places, step.frame, step, is_dilated)
 
-    def _take_rendered(self, step: Step) -> None:
-        for stage in self.stages.values():
-            if stage.name != SceneCuts.name:
-                stage.rendered(step)
-
-    def _count_samples(self, step: Step) -> None:
-        if detection := self.stages.get(SceneCuts.name):
-            detection.rendered(step)
-
     def _step(self, number: int, first: bool) -> Step:
         """Return a step with random cameras, times and numbers, so that no two rehearsals have a number in common."""
         rng = np.random.default_rng([number, first])
-        frame, previous = (self._frame(rng) for _ in range(2))
-        times = np.cumsum(-rng.uniform(0.01, 0.1, 1 if first else (2, 6)[number])).tolist()
-        time = times[0] + rng.uniform(0.01, 0.1)
-        camera, alpha, exposure = self._camera(rng), rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
-        return Step(frame, None if first else previous, times, camera, time, alpha, exposure)
-
-    def _frame(self, rng: np.random.Generator) -> DeviceFrame:
-        pose = self._camera(rng).world_to_view
-        render, display = (self._camera(rng, pose) for _ in range(2))
-        return DeviceFrame.allocate(self.board.device, (1, 1), render, display, 0.0)
-
-    @staticmethod
-    def _camera(rng: np.random.Generator, pose: np.ndarray | None = None) -> Camera:
-        camera = Camera.from_pose(*rng.normal(size=(3, 3)), *rng.uniform(20, 900, 4))
-        return camera if pose is None else replace(camera, world_to_view=pose)
+        pose = rng.normal(size=(3, 3))
+        cameras = [Camera.from_pose(*pose, *rng.uniform(20, 900, 4)) for _ in range(5)]
+        new, *times = np.cumsum(-rng.uniform(0.01, 0.1, 2 if first else (3, 7)[number])).tolist()
+        device, alpha, exposure = self.board.device, rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
+        frame, previous = (DeviceFrame.allocate(device, (1, 1), *pair, 0.0) for pair in (cameras[:2], cameras[2:4]))
+        return Step(frame, None if first else previous, times, cameras[4], new, alpha, exposure)
 
     def _learn_names(self) -> None:
         """Record the names of all buffers. Without a previous frame, its buffers are the rendered frame's."""
@@ -244,8 +219,7 @@ def record(device: Device, options: Options, int64: bool) -> Launches:
     for first in (True, False):
         performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
         for occasion in performed[0]:
-            takes = [taken[occasion] for taken in performed]
-            operations[occasion + "_first" * first] = _require_agreement(takes)
+            operations[occasion] = _require_agreement(*(taken[occasion] for taken in performed))
     buffers = {
         f"{owner.name}.{spec.name}": spec
         for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
@@ -255,28 +229,20 @@ def record(device: Device, options: Options, int64: bool) -> Launches:
     return Launches(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
 
 
-def _require_agreement(takes: list[list[Operation]]) -> list[Operation]:
-    """Return the operations that every rehearsal enqueues. Raises GffeError where rehearsals differ."""
-    expected = takes[0]
-    for take in takes[1:]:
-        if take != expected:
-            raise GffeError(
-                f"export: {_difference(take, expected)} depends on the image or the frame, which C does not have"
-                " (expected numbers that change to be members of the frame block, kernels/frame.h)"
-            )
-    return expected
-
-
-def _difference(take: list[Operation], expected: list[Operation]) -> str:
-    """Return where two lists of operations differ: the operations that only one of them has, else an argument."""
-    taken, wanted = ([replace(operation, arguments=()) for operation in each] for each in (take, expected))
-    if taken != wanted:
-        taken, wanted = Counter(taken), Counter(wanted)
-        only = (taken - wanted) + (wanted - taken)
-        return ", ".join(dict.fromkeys(f"{o.stage}.{o.kernel or o.kind.lower()}" for o in only))
-    made, other = next(pair for pair in zip(take, expected, strict=True) if pair[0] != pair[1])
-    name = next(a.name for a, b in zip(made.arguments, other.arguments, strict=True) if a != b)
-    return f"kernels/{made.stage}.cl, {made.kernel}: argument '{name}'"
+def _require_agreement(expected: list[Operation], take: list[Operation]) -> list[Operation]:
+    """Return the operations that both rehearsals enqueue. Raises GffeError where they differ."""
+    if take == expected:
+        return expected
+    longer, shorter = sorted((expected, take), key=len, reverse=True)
+    one, other = next(pair for pair in zip_longest(longer, shorter) if pair[0] != pair[1])
+    where = f"{one.stage}.{one.kernel or one.kind.lower()}"
+    if other and replace(other, arguments=()) == replace(one, arguments=()):
+        name = next(a.name for a, b in zip(one.arguments, other.arguments, strict=True) if a != b)
+        where = f"kernels/{one.stage}.cl, {one.kernel}: argument '{name}'"
+    raise GffeError(
+        f"export: {where} depends on the image or the frame, which C does not have"
+        " (expected numbers that change to be members of the frame block, kernels/frame.h)"
+    )
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:

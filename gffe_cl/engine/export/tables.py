@@ -17,27 +17,10 @@ from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages import frame_block, measures
 from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage
-from gffe_cl.engine.stages.buffers import CUT_SAMPLES, LEAST_ALIGNMENT, BufferSpec, grid_of
+from gffe_cl.engine.stages.buffers import CUT_SAMPLES, LEAST_ALIGNMENT, BufferSpec, Sizes, grid_of
 from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
 from gffe_cl.engine.stages.upload import Upload
 
-OCCASIONS = (
-    "rendered_first",
-    "rendered",
-    "extrapolated_first",
-    "extrapolated",
-    "cut",
-    "present_first",
-    "present",
-    "leave_out",
-    "compose",
-    "compose_rendered",
-    "convert_color",
-    "convert_geometry",
-    "convert_small",
-    "convert_dilated",
-    "convert_small_dilated",
-)
 # Inputs from callers, and their displayed part: name, grid and bytes.
 GIVEN = {
     **{
@@ -54,6 +37,7 @@ GIVEN = {
     **{f"engine.{name}": ("source", n) for name, n in zip(("color", "depth", "motion"), BYTES_PER_PIXEL, strict=True)},
 }
 _NAMED_GRIDS = ("source", "target", "network", "cells", "cut_samples")  # in C's own code
+_USUAL = Sizes((1920, 1080), (1920, 1080))  # by which buffers are sorted
 _CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
 _FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
 # Fields of two choices, which are flags in C: whether it is the second one.
@@ -66,7 +50,7 @@ _FORMAT_FLAGS = {
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
 
 
-def config(options: Options) -> str:
+def config(options: Options, occasions: Iterable[str]) -> str:
     """Return gffe_config.h: constants from Python's modules, and the options."""
     numbers = {
         "MOST_PIXELS": MOST_PIXELS,
@@ -104,7 +88,7 @@ def config(options: Options) -> str:
     lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
     enums = {  # by the name of their number of members
         "counted": measures.COUNTED,
-        "occasions": OCCASIONS,
+        "occasions": occasions,
         "named_grids": _NAMED_GRIDS,
         "first_buffers": [f"{name} = {2 * number}" for number, name in enumerate(GIVEN)],  # references
     }
@@ -136,7 +120,6 @@ class Tables:
         self.programs = sorted({stage for stage, _ in self.launched})
         self.constants = bytearray(4)  # words; there is at least one
         self.grids = [*_NAMED_GRIDS]
-        self._counts: list[tuple[int, int]] = []  # of each plan's buffers and initial contents
 
     def text(self) -> str:
         parts = [
@@ -147,10 +130,10 @@ class Tables:
         parts += map(_trial, TRIALS)
         parts.append(_table("gffe_kernel", "gffe_kernels", map(self._kernel, self.launched)))
         parts += [f"const int gffe_kernel_count = {len(self.launched)};\n", _format_tables()]
-        plans = [self._plan(number, plan) for number, plan in enumerate(self.plans)]
+        plans, rows = zip(*(self._plan(number, plan) for number, plan in enumerate(self.plans)), strict=True)
         parts += [_words("gffe_constants", bytes(self.constants)), _words("gffe_facts", _facts(self.plans[0]))]
         parts += [_table("gffe_grid", "gffe_grids", map(_layout, self.grids)), *plans]
-        parts.append(_table("gffe_plan", "gffe_plans", self._plan_rows()))
+        parts.append(_table("gffe_plan", "gffe_plans", rows))
         return "\n".join(parts)
 
     # ---- kernels ---------------------------------------------------------------------------------------
@@ -186,30 +169,30 @@ class Tables:
 
     # ---- plans -----------------------------------------------------------------------------------------
 
-    def _plan(self, number: int, plan: Launches) -> str:
+    def _plan(self, number: int, plan: Launches) -> tuple[str, str]:
+        """Return the tables of a plan, and its row, which has pointers to them and their lengths."""
         buffers = _Buffers(plan, self.grids)
-        rows = [buffers.row(name) for name in buffers.names]
-        parts = [_table("gffe_buffer", f"buffers_{number}", rows, static=True)]
         arguments: list[str] = []
-        for occasion in OCCASIONS:
-            operations = plan.operations[occasion]
-            made = [self._operation(operation, buffers, arguments) for operation in operations]
-            parts.append(_table("gffe_operation", f"{occasion}_{number}", made or ["0, 0, 0, 0, 0, 0, 0"], True))
-        parts.insert(1, _table("gffe_argument", f"arguments_{number}", arguments, static=True))
-        initial = []
-        for name, content in plan.initial.items():
-            initial.append(f"{buffers.names.index(name)}, {self._constant(content)}, {len(content)}")
-        parts.append(_table("gffe_initial", f"initial_{number}", initial or ["0, 0, 0"], static=True))
-        self._counts.append((len(buffers.names), len(initial)))
-        return "\n".join(parts)
-
-    def _plan_rows(self) -> list[str]:
-        rows = []
-        for number, (plan, (buffers, initial)) in enumerate(zip(self.plans, self._counts, strict=True)):
-            lists = ", ".join(f"{{{occasion}_{number}, {len(plan.operations[occasion])}}}" for occasion in OCCASIONS)
-            own = f"buffers_{number}, {buffers}, arguments_{number}, initial_{number}, {initial}"
-            rows.append(f"{own}, {{{lists}}}")
-        return rows
+        lists = {
+            occasion: [self._operation(operation, buffers, arguments) for operation in operations]
+            for occasion, operations in plan.operations.items()
+        }
+        initial = [
+            f"{buffers.names.index(name)}, {self._constant(content)}, {len(content)}"
+            for name, content in plan.initial.items()
+        ]
+        parts = [
+            _table("gffe_buffer", f"buffers_{number}", [buffers.row(name) for name in buffers.names], static=True),
+            _table("gffe_argument", f"arguments_{number}", arguments, static=True),
+            *(
+                _table("gffe_operation", f"{occasion}_{number}", rows or ["0, 0, 0, 0, 0, 0, 0"], static=True)
+                for occasion, rows in lists.items()
+            ),
+            _table("gffe_initial", f"initial_{number}", initial or ["0, 0, 0"], static=True),
+        ]
+        counted = ", ".join(f"{{{occasion}_{number}, {len(rows)}}}" for occasion, rows in lists.items())
+        own = f"buffers_{number}, {len(buffers.names)}, arguments_{number}, initial_{number}, {len(initial)}"
+        return "\n".join(parts), f"{own}, {{{counted}}}"
 
     def _operation(self, operation: Operation, buffers: _Buffers, arguments: list[str]) -> str:
         first = len(arguments)
@@ -243,9 +226,7 @@ class Tables:
 def _layout(name: str) -> str:
     """Return the row of a grid, whose size gffe_values.c computes."""
     layout = grid_of(name).layout
-    sides = [f"{{{first}, {second}}}" for first, second in (layout.texel, layout.most, layout.more)]
-    flags = int(layout.is_of_source), int(layout.is_flat)
-    return f"{flags[0]}, {sides[0]}, {layout.multiple}, {flags[1]}, {layout.columns}, {sides[1]}, {sides[2]}, {layout.levels}"
+    return ", ".join(f"{{{given[0]}, {given[1]}}}" if isinstance(given, tuple) else f"{given:d}" for given in layout)
 
 
 class _Buffers:
@@ -265,7 +246,7 @@ class _Buffers:
         specs = {name: spec for name, spec in specs.items() if name not in layers}
         self.memory = {whole for name, spec in specs.items() if (whole := _whole(name, spec)) and whole not in specs}
         self.specs = specs | {name: plan.buffers[name] for name in sorted(self.memory)}
-        self.names = [*GIVEN, *sorted(self.specs, key=self._depth)]
+        self.names = [*GIVEN, *sorted(self.specs, key=self._order)]
 
     def reference(self, name: str) -> str:
         """Return a buffer's reference: twice its number, plus one for the previous frame's."""
@@ -293,9 +274,11 @@ class _Buffers:
         numbers = f"{grid}, {level}, {spec.bytes_per_pixel}, {planes}, {spec.border}, {spec.byte}, {number}"
         return f'"{name}", {numbers}, {" | ".join(flags) or "0"}, {self._use(name)}'
 
-    def _depth(self, name: str) -> int:
+    def _order(self, name: str) -> tuple[int, int]:
+        """Return the key by which buffers are sorted: wholes before their parts, large ones before small ones, so that
+        C finds places for transient ones."""
         whole = _whole(name, self.specs[name])
-        return 1 + self._depth(whole) if whole else 0
+        return 1 + self._order(whole)[0] if whole else 0, -self.specs[name].nbytes(_USUAL)
 
     def _use(self, name: str) -> str:
         """Return the numbers of the first and the last stage that use a transient buffer within an extrapolation, "-1,

@@ -28,7 +28,7 @@ def export(folder: Path, device: Device, options: Options) -> list[str]:
     """
     tables = Tables((record(device, options, False), record(device, options, True)))
     texts = {path.name: path.read_text("utf-8") for path in _templates()}
-    texts |= {"gffe_tables.c": tables.text(), MARK: config(options)}
+    texts |= {"gffe_tables.c": tables.text(), MARK: config(options, tables.plans[0].operations)}
     texts |= {f"{KERNELS}/{name}.cl": expand(f"{name}.cl") for name in tables.programs}
     _require_own(folder)
     try:

@@ -75,9 +75,7 @@ static int same_matrix(const gffe_camera *a, const gffe_camera *b) {
     return 1;
 }
 
-/* Computes the transform from the view space of `a` to that of `b`: rows of a 3x4 matrix, exactly the identity for
-   equal poses. */
-static void view_transform(const gffe_camera *a, const gffe_camera *b, double made[3][4]) {
+void gffe_view_transform(const gffe_camera *a, const gffe_camera *b, double made[3][4]) {
     double rotation[3][3], translation[3], other[3][3], turned[3][3], moved[3];
     int i, j;
     if (same_matrix(a, b)) {
@@ -152,37 +150,4 @@ int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display) {
 
 int gffe_see_alike(const gffe_camera *a, const gffe_camera *b) {
     return a->fx == b->fx && a->fy == b->fy && a->cx == b->cx && a->cy == b->cy && same_matrix(a, b);
-}
-
-void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]) {
-    double matrix[3][4];
-    int i, j;
-    view_transform(source, target, matrix);
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 4; ++j) made[4 * i + j] = (float)matrix[i][j];
-    made[12] = (float)source->fx;
-    made[13] = (float)source->fy;
-    made[14] = (float)source->cx;
-    made[15] = (float)source->cy;
-    made[16] = (float)(1 / source->fx);
-    made[17] = (float)(1 / source->fy);
-    made[18] = (float)source->cx;
-    made[19] = (float)source->cy;
-    made[20] = (float)target->fx;
-    made[21] = (float)target->fy;
-    made[22] = (float)target->cx;
-    made[23] = (float)target->cy;
-}
-
-void gffe_zoom(const gffe_camera *source, const gffe_camera *target, float made[2]) {
-    made[0] = (float)(target->fx / source->fx);
-    made[1] = (float)(target->fy / source->fy);
-}
-
-void gffe_mapping(const gffe_camera *a, const gffe_camera *b, float made[4]) {
-    const double scale_x = b->fx / a->fx, scale_y = b->fy / a->fy;
-    made[0] = (float)scale_x;
-    made[1] = (float)scale_y;
-    made[2] = (float)(b->cx - scale_x * a->cx);
-    made[3] = (float)(b->cy - scale_y * a->cy);
 }

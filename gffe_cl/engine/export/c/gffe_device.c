@@ -22,8 +22,8 @@ static int has_capability(gffe *g, const gffe_trial *trial) {
     cl_ulong found[2] = {~(cl_ulong)0, ~(cl_ulong)0};
     cl_int error;
     cl_mem buffer = clCreateBuffer(g->context, flags, sizeof found, found, &error);
-    cl_program program = clCreateProgramWithSource(g->context, (cl_uint)trial->line_count,
-                                                   (const char **)trial->lines, NULL, &error);
+    cl_program program =
+        clCreateProgramWithSource(g->context, (cl_uint)trial->line_count, (const char **)trial->lines, NULL, &error);
     cl_kernel kernel = NULL;
     int works;
     if (program && clBuildProgram(program, 1, &g->device, rounding_options(g), NULL, NULL) == CL_SUCCESS)

@@ -257,7 +257,8 @@ static gffe_status need_converted(gffe *g, int turn) {
 }
 
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]) {
-    const int color = !are_ours(&g->step.format, GFFE_OF_COLOR), geometry = is_small(&g->step) || !are_ours(&g->step.format, GFFE_OF_GEOMETRY);
+    const int color = !are_ours(&g->step.format, GFFE_OF_COLOR),
+              geometry = is_small(&g->step) || !are_ours(&g->step.format, GFFE_OF_GEOMETRY);
     int k;
     g->converts[0] = color;
     g->converts[1] = geometry;
@@ -288,9 +289,7 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
     step->converts = 1;
     if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR);
     if (!status && g->converts[1])
-        status = gffe_run(g, step->format.motion_dilated
-                                 ? (is_small(step) ? GFFE_CONVERT_SMALL_DILATED : GFFE_CONVERT_DILATED)
-                                 : (is_small(step) ? GFFE_CONVERT_SMALL : GFFE_CONVERT_GEOMETRY));
+        status = gffe_run(g, GFFE_CONVERT_GEOMETRY + is_small(step) + 2 * (step->format.motion_dilated != 0));
     step->converts = 0;
     for (k = 0; k < GFFE_BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
     return status;

@@ -208,15 +208,11 @@ struct gffe {
 /* gffe_camera.c */
 /* Returns the distance between two cameras, world units. */
 double gffe_distance(const gffe_camera *a, const gffe_camera *b);
-/* Computes the reprojection for kernels: source view space -> target view space, three rows; both projections, and the
-   source's inverse. */
-void gffe_reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]);
+/* Computes the transform from the view space of `a` to that of `b`: rows of a 3x4 matrix, exactly the identity for
+   equal poses. */
+void gffe_view_transform(const gffe_camera *a, const gffe_camera *b, double made[3][4]);
 /* Returns whether both cameras show everything at the same pixels, to the bit. */
 int gffe_see_alike(const gffe_camera *a, const gffe_camera *b);
-/* Computes the target pixels per source pixel of points equally far from both cameras. */
-void gffe_zoom(const gffe_camera *source, const gffe_camera *target, float made[2]);
-/* Computes scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */
-void gffe_mapping(const gffe_camera *a, const gffe_camera *b, float made[4]);
 /* Returns the same camera for an image whose sides are `scale_x`, `scale_y` times as many pixels. */
 gffe_camera gffe_scaled(const gffe_camera *camera, double scale_x, double scale_y);
 /* Returns whether both have one pose, as a render camera and a display camera must. */

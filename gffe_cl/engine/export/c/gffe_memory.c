@@ -82,22 +82,6 @@ static void place_transient(gffe *g, int number) {
     }
 }
 
-/* Places transient buffers, largest first. */
-static void place_transients(gffe *g) {
-    size_t last = (size_t)-1;
-    for (;;) {
-        size_t largest = 0;
-        int k;
-        for (k = 0; k < g->plan->buffer_count; ++k)
-            if (is_transient(&g->plan->buffers[k]) && g->places[k].bytes < last && g->places[k].bytes > largest)
-                largest = g->places[k].bytes;
-        if (!largest) return;
-        for (k = 0; k < g->plan->buffer_count; ++k)
-            if (is_transient(&g->plan->buffers[k]) && g->places[k].bytes == largest) place_transient(g, k);
-        last = largest;
-    }
-}
-
 /* Creates a buffer with memory of its own, all of whose bytes are `byte`. */
 static cl_int create(gffe *g, int byte, size_t nbytes, cl_mem *made) {
     const cl_uchar filled = (cl_uchar)byte;
@@ -130,7 +114,8 @@ gffe_status gffe_allocate(gffe *g, int late) {
     int number, parts, k;
     if (!late) {
         place_parts(g);
-        place_transients(g);
+        for (number = 0; number < g->plan->buffer_count; ++number) /* mostly, large ones come first */
+            if (is_transient(&g->plan->buffers[number])) place_transient(g, number);
     }
     for (parts = 0; parts < 2; ++parts) /* first the containers of others */
         for (number = 0; number < g->plan->buffer_count; ++number) {

@@ -23,8 +23,7 @@ void gffe_grid_size(const gffe_step *step, int number, size_t size[2]) {
     const gffe_grid *grid = &gffe_grids[number];
     const int *image = grid->is_of_source ? step->source : step->target;
     int k;
-    for (k = 0; k < 2; ++k)
-        size[k] = rounded_up((size_t)image[k], grid->texel[k] * grid->multiple) * grid->multiple;
+    for (k = 0; k < 2; ++k) size[k] = rounded_up((size_t)image[k], grid->texel[k] * grid->multiple) * grid->multiple;
     if (grid->is_flat || grid->levels) {
         size[0] = grid->levels ? gffe_level_start(step, grid->levels) : size[0] * size[1];
         size[1] = 1;
@@ -41,6 +40,43 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
     size_t size[2];
     gffe_grid_size(step, buffer->grid, size);
     return (size[0] + 2 * border) * (size[1] + 2 * border) * (size_t)buffer->bytes * (size_t)buffer->planes;
+}
+
+/* Computes the reprojection for kernels: source view space -> target view space, three rows; both projections, and the
+   source's inverse. */
+static void reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]) {
+    double matrix[3][4];
+    int i, j;
+    gffe_view_transform(source, target, matrix);
+    for (i = 0; i < 3; ++i)
+        for (j = 0; j < 4; ++j) made[4 * i + j] = (float)matrix[i][j];
+    made[12] = (float)source->fx;
+    made[13] = (float)source->fy;
+    made[14] = (float)source->cx;
+    made[15] = (float)source->cy;
+    made[16] = (float)(1 / source->fx);
+    made[17] = (float)(1 / source->fy);
+    made[18] = (float)source->cx;
+    made[19] = (float)source->cy;
+    made[20] = (float)target->fx;
+    made[21] = (float)target->fy;
+    made[22] = (float)target->cx;
+    made[23] = (float)target->cy;
+}
+
+/* Computes the target pixels per source pixel of points equally far from both cameras. */
+static void zoom(const gffe_camera *source, const gffe_camera *target, float made[2]) {
+    made[0] = (float)(target->fx / source->fx);
+    made[1] = (float)(target->fy / source->fy);
+}
+
+/* Computes scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */
+static void mapping(const gffe_camera *a, const gffe_camera *b, float made[4]) {
+    const double scale_x = b->fx / a->fx, scale_y = b->fy / a->fy;
+    made[0] = (float)scale_x;
+    made[1] = (float)scale_y;
+    made[2] = (float)(b->cx - scale_x * a->cx);
+    made[3] = (float)(b->cy - scale_y * a->cy);
 }
 
 /* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, one after
@@ -99,11 +135,11 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     grid_sides(step, GFFE_TARGET, &block->target_width, &block->target_height);
     grid_sides(step, GFFE_NETWORK, &block->network_width, &block->network_height);
     grid_sides(step, GFFE_CELLS, &block->cells_width, &block->cells_height);
-    gffe_reprojection(source, previous, (float *)&block->to_previous);
-    gffe_reprojection(previous, source, (float *)&block->from_previous);
-    gffe_mapping(display, source, block->to_render.s);
-    gffe_mapping(source, display, block->to_display.s);
-    gffe_mapping(previous, &step->cameras[GFFE_PREVIOUS_DISPLAY], block->to_previous_display.s);
+    reprojection(source, previous, (float *)&block->to_previous);
+    reprojection(previous, source, (float *)&block->from_previous);
+    mapping(display, source, block->to_render.s);
+    mapping(source, display, block->to_display.s);
+    mapping(previous, &step->cameras[GFFE_PREVIOUS_DISPLAY], block->to_previous_display.s);
     for (k = 0; k < 2; ++k) block->pixel_size.s[k] = 1 / block->to_render.s[k];
     block->camera_step = (float)gffe_distance(source, previous);
     block->has_previous = step->time_count > 1;
@@ -122,9 +158,9 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     for (k = 0; k < 4; ++k) block->has_overlays |= step->has[k] << k;
     if (step->converts) gffe_fill_given(step, block);
     if (!is_new) return;
-    gffe_reprojection(source, target, (float *)&block->to_target);
-    gffe_reprojection(target, source, (float *)&block->to_source);
-    gffe_reprojection(target, previous, (float *)&block->target_to_previous);
-    gffe_zoom(source, target, block->zoom.s);
+    reprojection(source, target, (float *)&block->to_target);
+    reprojection(target, source, (float *)&block->to_source);
+    reprojection(target, previous, (float *)&block->target_to_previous);
+    zoom(source, target, block->zoom.s);
     polynomial(step, GFFE_MOST_TIMES - 1, (float *)block->polynomial);
 }
