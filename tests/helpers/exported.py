@@ -3,8 +3,10 @@
 import ctypes as ct
 import math
 import os
+import re
 import shutil
 import subprocess
+from importlib.resources import files
 from pathlib import Path
 
 import numpy as np
@@ -20,87 +22,75 @@ MOTION_UNITS = ("pixels", "uv", "ndc", "color_pixels")  # as gffe.h numbers them
 OK, INVALID, OPENCL, OUT_OF_MEMORY = range(4)
 
 
-class CCamera(ct.Structure):
-    _fields_ = (("world_to_view", ct.c_double * 16), *((name, ct.c_double) for name in ("fx", "fy", "cx", "cy")))
+HEADER = re.sub(r"/\*.*?\*/", " ", (files("gffe_cl.engine.export") / "c" / "gffe.h").read_text("utf-8"), flags=re.S)
+SCALARS = {
+    "int": ct.c_int,
+    "double": ct.c_double,
+    "cl_uint": ct.c_uint,
+    "size_t": ct.c_size_t,
+    "gffe_status": ct.c_int,
+}
 
-    @classmethod
-    def of(cls, camera: Camera):
-        return cls((ct.c_double * 16)(*camera.world_to_view.ravel()), *camera.intrinsics)
 
-    def camera(self) -> Camera:
-        return Camera(np.array(self.world_to_view).reshape(4, 4), self.fx, self.fy, self.cx, self.cy)
+def _structures() -> dict[str, type]:
+    """Return the structures of gffe.h by name; arrays have one dimension."""
+    made = {}
+    for name, body in re.findall(r"typedef struct (\w+) {(.*?)} \1;", HEADER, re.S):
+        fields = []
+        for kind, members in re.findall(r"(\w+) ([^;]+);", body):
+            for own, *sides in (re.findall(r"\w+", member) for member in members.split(",")):
+                of = (SCALARS | made).get(kind, ct.c_void_p)
+                fields.append((own, of * math.prod(map(int, sides)) if sides else of))
+        made[name] = type(name, (ct.Structure,), {"_fields_": fields})
+    return made
 
 
-class COptions(ct.Structure):
-    _fields_ = (
-        *((name, ct.c_int) for name in ("width", "height", "render_width", "render_height")),
-        ("fps", ct.c_double),
-        *((name, ct.c_int) for name in ("lanes", "int64_atomics", "float_sums")),
+STRUCTURES = _structures()
+CCamera, CFormat, CFrame = (STRUCTURES[f"gffe_{name}"] for name in ("camera", "format", "frame"))
+# Result, name and (type, name) of the parameters of every function.
+DECLARED = [
+    (kind, name, [(about.strip(), own) for about, own in re.findall(r"(?:const )?(\w+ \**)(\w+)", listed)])
+    for kind, name, listed in re.findall(r"^((?:const )?\w+)(?: \*| )(gffe_\w+)\(([^()]*)\);", HEADER, re.M)
+]
+
+
+def declare(library: ct.CDLL) -> ct.CDLL:
+    """Declare those functions of gffe.h that a library has."""
+    for kind, name, parameters in DECLARED:
+        if function := getattr(library, name, None):
+            function.argtypes = [SCALARS.get(about, ct.c_void_p) for about, _ in parameters]
+            function.restype = ct.c_char_p if "char" in kind else (SCALARS | STRUCTURES).get(kind)
+    return library
+
+
+def c_camera(camera: Camera) -> ct.Structure:
+    return CCamera((ct.c_double * 16)(*camera.world_to_view.ravel()), *camera.intrinsics)
+
+
+def camera_of(given: ct.Structure) -> Camera:
+    return Camera(np.array(given.world_to_view).reshape(4, 4), given.fx, given.fy, given.cx, given.cy)
+
+
+def c_format(format: FrameFormat) -> ct.Structure:
+    width, height = format.geometry_size or (0, 0)
+    given = {name: value for name, value in vars(format).items() if name in dict(CFormat._fields_)}
+    given |= {name: (ct.c_double * 2)(*value) for name, value in given.items() if isinstance(value, tuple)}
+    given |= {name: 1 + [*TYPES].index(value) for name, value in given.items() if name.endswith("_type")}
+    return CFormat(
+        **given
+        | {
+            "geometry_width": width,
+            "geometry_height": height,
+            "rows_up": format.rows == "up",
+            "color_srgb": format.color_encoding == "srgb",
+            "depth": DEPTHS.index(format.depth),
+            "motion_unit": MOTION_UNITS.index(format.motion_unit),
+            "motion_from_previous": format.motion_direction == "from_previous",
+            "motion_y_up": format.motion_y == "up",
+            "motion_invalid": math.nan if format.motion_invalid is None else format.motion_invalid,
+            "camera_motion": CAMERA_MOTIONS.index(format.camera_motion),
+        }
     )
-
-
-class CFrame(ct.Structure):
-    _fields_ = (
-        *((name, ct.c_void_p) for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by", "gae")),
-        ("camera", CCamera),
-        ("time", ct.c_double),
-        ("alpha", ct.c_double),
-    )
-
-
-class CImage(ct.Structure):
-    _fields_ = (
-        ("memory", ct.c_void_p),
-        *((name, ct.c_size_t) for name in ("width", "height", "planes", "bytes_per_pixel")),
-    )
-
-
-class COverlays(ct.Structure):
-    _fields_ = tuple((name, ct.c_void_p) for name in OVERLAYS)
-
-
-class CFormat(ct.Structure):
-    _fields_ = (
-        *((name, ct.c_int) for name in ("geometry_width", "geometry_height", "rows_up")),
-        *((name, ct.c_int) for name in ("color_type", "color_channels", "color_srgb", "depth_type", "depth")),
-        *((name, ct.c_double) for name in ("depth_scale", "near_z", "far_z")),
-        ("depth_range", ct.c_double * 2),
-        *((name, ct.c_int) for name in ("motion_type", "motion_channels")),
-        *((name, ct.c_double * 2) for name in ("motion_scale", "motion_offset")),
-        *((f"motion_{name}", ct.c_int) for name in ("unit", "from_previous", "y_up", "dilated", "jittered")),
-        ("motion_invalid", ct.c_double),
-        ("camera_motion", ct.c_int),
-    )
-
-    @classmethod
-    def of(cls, format: FrameFormat):
-        numbers = {name: 1 + number for number, name in enumerate(TYPES)}
-        plain = (
-            "color_channels",
-            "depth_scale",
-            "near_z",
-            "far_z",
-            "motion_channels",
-            "motion_dilated",
-            "motion_jittered",
-        )
-        pairs = ("depth_range", "motion_scale", "motion_offset")
-        width, height = format.geometry_size or (0, 0)
-        return cls(
-            geometry_width=width,
-            geometry_height=height,
-            **{name: getattr(format, name) for name in plain},
-            **{name: numbers[getattr(format, name)] for name in ("color_type", "depth_type", "motion_type")},
-            **{name: (ct.c_double * 2)(*getattr(format, name)) for name in pairs},
-            rows_up=format.rows == "up",
-            color_srgb=format.color_encoding == "srgb",
-            depth=DEPTHS.index(format.depth),
-            motion_unit=MOTION_UNITS.index(format.motion_unit),
-            motion_from_previous=format.motion_direction == "from_previous",
-            motion_y_up=format.motion_y == "up",
-            motion_invalid=math.nan if format.motion_invalid is None else format.motion_invalid,
-            camera_motion=CAMERA_MOTIONS.index(format.camera_motion),
-        )
 
 
 class Failed(Exception):
@@ -138,29 +128,7 @@ def compile_library(folder: Path, target: Path) -> Path:
 
 
 def load(path: Path) -> ct.CDLL:
-    library = ct.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW)
-    library.gffe_default_options.restype = COptions
-    for name in ("message", "camera_fault", "buffer_name"):
-        getattr(library, f"gffe_{name}").restype = ct.c_char_p
-    library.gffe_default_format.restype = CFormat
-    library.gffe_set_format.argtypes = [ct.c_void_p] * 2
-    library.gffe_set_geometry_jitter.argtypes = [ct.c_void_p, *[ct.c_double] * 2]
-    library.gffe_interval.restype = ct.c_double
-    library.gffe_create.argtypes = [ct.c_void_p] * 4
-    library.gffe_destroy.argtypes = library.gffe_interval.argtypes = library.gffe_is_cut.argtypes = [ct.c_void_p]
-    library.gffe_message.argtypes = [ct.c_void_p]
-    library.gffe_buffer_name.argtypes = [ct.c_void_p, ct.c_int]
-    library.gffe_set_exposure.argtypes = [ct.c_void_p, ct.c_double]
-    library.gffe_submit.argtypes = [*[ct.c_void_p] * 6, ct.c_double, ct.c_int]
-    library.gffe_extrapolate.argtypes = [ct.c_void_p, ct.c_void_p, ct.c_double, ct.c_void_p]
-    events = [ct.c_uint, ct.c_void_p, ct.c_void_p]
-    library.gffe_submit_after.argtypes = [*library.gffe_submit.argtypes, *events]
-    library.gffe_extrapolate_after.argtypes = [*library.gffe_extrapolate.argtypes, *events]
-    library.gffe_present_after.argtypes = [ct.c_void_p, ct.c_void_p, *events]
-    library.gffe_set_overlays.argtypes = [ct.c_void_p] * 2
-    library.gffe_present.argtypes = [ct.c_void_p] * 2
-    library.gffe_get.argtypes = [ct.c_void_p, ct.c_char_p, ct.c_void_p]
-    return library
+    return declare(ct.CDLL(str(path), mode=os.RTLD_LOCAL | os.RTLD_NOW))
 
 
 class Engine:
@@ -203,26 +171,26 @@ class Engine:
         return cl.Event.from_int_ptr(done.value, retain=False)
 
     def submit(self, buffers, camera, time, display=None, reset=False, wait_for=None):
-        cameras = [c and ct.byref(CCamera.of(c)) for c in (camera, display)]
+        cameras = [c and ct.byref(c_camera(c)) for c in (camera, display)]
         handles = [b and b.int_ptr for b in buffers]
         return self._call("submit", (*handles, *cameras, time, int(reset)), wait_for)
 
     def set_format(self, format, jitter=(0.0, 0.0)):
         """Set `format`: a FrameFormat, a CFormat or None."""
-        made = CFormat.of(format) if isinstance(format, FrameFormat) else format
+        made = c_format(format) if isinstance(format, FrameFormat) else format
         self._check(self.library.gffe_set_format(self.handle, made and ct.byref(made)))
         self._check(self.library.gffe_set_geometry_jitter(self.handle, *jitter))
 
     def set_overlays(self, overlays):
         """Set `overlays` of device buffers."""
         given = {name: getattr(overlays, name) for name in OVERLAYS}
-        told = COverlays(**{name: buffer.int_ptr for name, buffer in given.items() if buffer})
+        told = STRUCTURES["gffe_overlays"](**{name: buffer.int_ptr for name, buffer in given.items() if buffer})
         self._check(self.library.gffe_set_overlays(self.handle, ct.byref(told)))
 
     def extrapolate(self, time, camera, wait_for=None):
         """Return the frame; with `wait_for` and the event."""
         made = CFrame()
-        camera = camera and ct.byref(CCamera.of(camera))
+        camera = camera and ct.byref(c_camera(camera))
         event = self._call("extrapolate", (camera, time, ct.byref(made)), wait_for)
         return made if wait_for is None else (made, event)
 
@@ -244,7 +212,7 @@ class Engine:
         return found
 
     def get(self, name):
-        image = CImage()
+        image = STRUCTURES["gffe_image"]()
         self._check(self.library.gffe_get(self.handle, name.encode(), ct.byref(image)))
         return image
 

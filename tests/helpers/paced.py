@@ -10,21 +10,10 @@ from importlib.resources import files
 from pathlib import Path
 
 import pytest
-from exported import STRICT
+from exported import STRICT, STRUCTURES, declare
 
 import gffe_cl
 from gffe_cl import GffeError
-
-PACER_BYTES = 4096  # more than a gffe_pacer has
-
-
-class _Plan(ct.Structure):
-    _fields_ = [*((name, ct.c_double) for name in ("refresh", "time", "alpha")), ("held", ct.c_int)]
-
-
-class Pacing(ct.Structure):
-    _fields_ = [(name, ct.c_int) for name in ("rendered", "extrapolated", "held", "late", "dropped")]
-    _fields_ += [("jitter", ct.c_double)]
 
 
 @cache
@@ -36,13 +25,7 @@ def library() -> ct.CDLL | None:
         command = ["cc", "-std=c99", *STRICT, "-fPIC", "-shared", "-ffp-contract=off", "-o", made, source, "-lm"]
         if not shutil.which("cc") or subprocess.run(command, capture_output=True, check=False).returncode:
             return None
-        loaded = ct.CDLL(str(made))
-    loaded.gffe_pacer_start.argtypes = [ct.c_char_p, *[ct.c_double] * 3, ct.c_int]
-    loaded.gffe_pacer_rendered.argtypes = [ct.c_char_p, ct.c_double, ct.c_int]
-    loaded.gffe_pacer_plan.argtypes = [ct.c_char_p, ct.c_double, ct.POINTER(_Plan)]
-    loaded.gffe_pacer_ready.argtypes = [ct.c_char_p, ct.c_double]
-    loaded.gffe_pacer_statistics.argtypes, loaded.gffe_pacer_statistics.restype = [ct.c_char_p], Pacing
-    return loaded
+        return declare(ct.CDLL(str(made)))
 
 
 def _number(value) -> float:
@@ -53,7 +36,7 @@ class Pacer(gffe_cl.Pacer):
     """Pacer of both; of Python alone where C cannot be compiled."""
 
     def __init__(self, display_rate, most_alpha=2.0, fps=30.0, variable=False):
-        self._c, rates = ct.create_string_buffer(PACER_BYTES), map(_number, (display_rate, most_alpha, fps))
+        self._c, rates = STRUCTURES["gffe_pacer"](), map(_number, (display_rate, most_alpha, fps))
         self._both(super().__init__, (display_rate, most_alpha, fps, variable), "start", *rates, variable)
 
     def rendered(self, time, reset=False):
@@ -62,7 +45,7 @@ class Pacer(gffe_cl.Pacer):
         return self._both(super().rendered, (time, reset), "rendered", _number(time), reset)
 
     def plan(self, now):
-        found = _Plan()
+        found = STRUCTURES["gffe_paced"]()
         plan = self._both(super().plan, (now,), "plan", _number(now), ct.byref(found))
         if library():
             assert (found.refresh, found.time, found.alpha) == (plan.refresh, plan.time, plan.alpha)
@@ -76,15 +59,15 @@ class Pacer(gffe_cl.Pacer):
     def statistics(self):
         told = super().statistics
         if library():
-            found = library().gffe_pacer_statistics(self._c)
-            for name, _ in Pacing._fields_[:-1]:
+            found = library().gffe_pacer_statistics(ct.byref(self._c))
+            for name, _ in STRUCTURES["gffe_pacing"]._fields_[:-1]:
                 assert getattr(found, name) == getattr(told, name), name
             assert found.jitter == pytest.approx(told.jitter, rel=1e-6, abs=1e-9)
         return told
 
     def _both(self, call, arguments, name, *numbers):
         """Return what Python's `call` returns or raises; C's must take or refuse the same."""
-        status = library() and getattr(library(), f"gffe_pacer_{name}")(self._c, *numbers)
+        status = library() and getattr(library(), f"gffe_pacer_{name}")(ct.byref(self._c), *numbers)
         try:
             made = call(*arguments)
         except GffeError:

@@ -7,7 +7,7 @@ from dataclasses import dataclass, field, replace
 from typing import Any
 
 import numpy as np
-from exported import INVALID, MOTION_UNITS, CCamera, CFormat, Engine, Failed
+from exported import INVALID, MOTION_UNITS, Engine, Failed, c_camera, c_format
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
@@ -135,7 +135,7 @@ class Calls:
         self.pipeline.format = FrameFormat(**base | {name: value})
 
     def _c_format(self, name, value, base):
-        made = CFormat.of(FrameFormat(**base))
+        made = c_format(FrameFormat(**base))
         if name.startswith("geometry"):
             made.geometry_width = made.geometry_height = 40
         self.engine.set_format(_put(made, name, value))
@@ -160,7 +160,7 @@ class Calls:
         replace(self.camera, **{name: value})
 
     def _c_camera(self, name, value, base):
-        made = _put(CCamera.of(self.camera), name, value)
+        made = _put(c_camera(self.camera), name, value)
         self._require_none(self.engine.library.gffe_camera_fault(ct.byref(made)))
 
     # ---- pipelines -------------------------------------------------------------------------------------
