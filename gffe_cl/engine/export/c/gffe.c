@@ -34,11 +34,12 @@ gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...) {
     return status;
 }
 
-gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing) {
-    const int memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES
-                       || error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
-    return gffe_fail(g, memory ? GFFE_OUT_OF_MEMORY : GFFE_OPENCL, "%s: OpenCL error %d%s", doing, (int)error,
-                     memory ? " (out of memory)" : "");
+gffe_status gffe_checked(gffe *g, cl_int error, const char *doing) {
+    const int is_memory = error == CL_MEM_OBJECT_ALLOCATION_FAILURE || error == CL_OUT_OF_RESOURCES
+                          || error == CL_OUT_OF_HOST_MEMORY || error == CL_INVALID_BUFFER_SIZE;
+    if (error == CL_SUCCESS) return GFFE_OK;
+    return gffe_fail(g, is_memory ? GFFE_OUT_OF_MEMORY : GFFE_OPENCL, "%s: OpenCL error %d%s", doing, (int)error,
+                     is_memory ? " (out of memory)" : "");
 }
 
 /* ---- options and device ------------------------------------------------------------------------------- */
@@ -83,7 +84,7 @@ static gffe_status check_queue(gffe *g, cl_context context, cl_command_queue que
     if (error == CL_SUCCESS) error = clGetCommandQueueInfo(queue, CL_QUEUE_DEVICE, sizeof g->device, &g->device, NULL);
     if (error == CL_SUCCESS)
         error = clGetCommandQueueInfo(queue, CL_QUEUE_PROPERTIES, sizeof properties, &properties, NULL);
-    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "gffe_create: asking about the queue");
+    if (error != CL_SUCCESS) return gffe_checked(g, error, "gffe_create: asking about the queue");
     if (its != context) return gffe_fail(g, GFFE_INVALID, "gffe_create: the queue is of another context");
     if (properties & CL_QUEUE_OUT_OF_ORDER_EXEC_MODE_ENABLE)
         return gffe_fail(g, GFFE_INVALID,
@@ -167,7 +168,7 @@ static gffe_status need_no_motion(gffe *g) {
     if (g->no_motion) return GFFE_OK;
     g->no_motion = clCreateBuffer(g->context, CL_MEM_READ_WRITE, nbytes, NULL, &error);
     if (g->no_motion) error = clEnqueueFillBuffer(g->queue, g->no_motion, &zero, 1, 0, nbytes, 0, NULL, NULL);
-    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "a buffer for a frame without motion");
+    return gffe_checked(g, error, "a buffer for a frame without motion");
 }
 
 static gffe_status check_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion, const gffe_camera *camera,
@@ -203,10 +204,8 @@ static void take_frame(gffe *g, cl_mem color, cl_mem depth, cl_mem motion) {
     const cl_mem given[3] = {color, depth, motion};
     int k;
     for (k = 0; k < 3; ++k) {
-        if (g->memory[GFFE_PREVIOUS_COLOR + 2 * k]) clReleaseMemObject(g->memory[GFFE_PREVIOUS_COLOR + 2 * k]);
-        g->memory[GFFE_PREVIOUS_COLOR + 2 * k] = g->memory[2 * k];
-        clRetainMemObject(given[k]);
-        g->memory[2 * k] = given[k];
+        gffe_hold(&g->memory[GFFE_PREVIOUS_COLOR + 2 * k], g->memory[2 * k]);
+        gffe_hold(&g->memory[2 * k], given[k]);
     }
 }
 
@@ -240,9 +239,8 @@ static gffe_status look_for_cut(gffe *g) {
     if (status) return status;
     error = clEnqueueReadBuffer(g->queue, g->memory[g->counts], CL_FALSE, 0, sizeof g->cut_counts, g->cut_counts, 0,
                                 NULL, &g->counted);
-    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "reading the samples of a cut");
-    error = clFlush(g->queue);
-    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "reading the samples of a cut");
+    if (error == CL_SUCCESS) error = clFlush(g->queue);
+    return gffe_checked(g, error, "reading the samples of a cut");
 }
 
 static void forget(gffe *g) {
@@ -269,7 +267,7 @@ static gffe_status decide_cut(gffe *g) {
     error = clWaitForEvents(1, &g->counted);
     clReleaseEvent(g->counted);
     g->counted = NULL;
-    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "waiting for the samples of a cut");
+    if (error != CL_SUCCESS) return gffe_checked(g, error, "waiting for the samples of a cut");
     gffe_grid_size(&g->step, GFFE_CUT_SAMPLES, size);
     for (row = 0; row < (int)size[1]; ++row)
         for (k = 0; k < GFFE_COUNTED; ++k) sums[k] += g->cut_counts[row][k];

@@ -54,7 +54,7 @@ static gffe_status build(gffe *g, int number, int int64) {
     if (program->flags & GFFE_TAKES_INT64 && int64) sprintf(choices + used, " -DINT64_ATOMICS=1");
     g->programs[number] = clCreateProgramWithSource(g->context, (cl_uint)program->line_count,
                                                     (const char **)program->lines, NULL, &error);
-    if (!g->programs[number]) return gffe_opencl_failed(g, error, program->name);
+    if (!g->programs[number]) return gffe_checked(g, error, program->name);
     error = clBuildProgram(g->programs[number], 1, &g->device, choices, NULL, NULL);
     if (error == CL_SUCCESS) return GFFE_OK;
     clGetProgramBuildInfo(g->programs[number], g->device, CL_PROGRAM_BUILD_LOG, sizeof log - 1, log, NULL);
@@ -69,7 +69,7 @@ static gffe_status set_initial(gffe *g) {
         const cl_int error =
             clEnqueueWriteBuffer(g->queue, g->memory[2 * initial->buffer], CL_TRUE, 0, (size_t)initial->bytes,
                                  &gffe_constants[initial->words], 0, NULL, NULL);
-        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "writing the initial content of buffers");
+        if (error != CL_SUCCESS) return gffe_checked(g, error, "writing the initial content of buffers");
     }
     return GFFE_OK;
 }
@@ -85,7 +85,7 @@ static gffe_status make_kernels(gffe *g, int of_formats, int int64) {
         const int program = gffe_kernels[k].program;
         if ((gffe_programs[program].flags & GFFE_OF_FORMATS) != of_formats) continue;
         g->kernels[k] = clCreateKernel(g->programs[program], gffe_kernels[k].name, &error);
-        if (!g->kernels[k]) status = gffe_opencl_failed(g, error, gffe_kernels[k].name);
+        if (!g->kernels[k]) status = gffe_checked(g, error, gffe_kernels[k].name);
     }
     return status;
 }
@@ -104,7 +104,7 @@ gffe_status gffe_open(gffe *g) {
     error = clGetDeviceInfo(g->device, CL_DEVICE_TYPE, sizeof type, &type, NULL);
     if (error == CL_SUCCESS)
         error = clGetDeviceInfo(g->device, CL_DEVICE_MEM_BASE_ADDR_ALIGN, sizeof alignment, &alignment, NULL);
-    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "querying the device");
+    if (error != CL_SUCCESS) return gffe_checked(g, error, "querying the device");
     g->step.alignment = alignment / 8 > GFFE_LEAST_ALIGNMENT ? alignment / 8 : GFFE_LEAST_ALIGNMENT;
     g->lanes = g->options.lanes ? g->options.lanes : type & CL_DEVICE_TYPE_CPU && !(type & CL_DEVICE_TYPE_GPU) ? 8 : 1;
     if (int64 < 0) int64 = has_capability(g, &gffe_int64_atomics);
@@ -188,9 +188,9 @@ gffe_status gffe_run(gffe *g, int occasion) {
                              : operation->kind == GFFE_FILL ? fill(g, operation)
                                                             : copy(g, operation);
         if (error != CL_SUCCESS)
-            return gffe_opencl_failed(g, error,
-                                      operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name
-                                                                     : "filling or copying a buffer");
+            return gffe_checked(g, error,
+                                operation->kind == GFFE_LAUNCH ? gffe_kernels[operation->kernel].name
+                                                               : "filling or copying a buffer");
     }
     return GFFE_OK;
 }
@@ -208,17 +208,17 @@ gffe_status gffe_wait_for(gffe *g, cl_uint count, const cl_event *events) {
         cl_int state = CL_COMPLETE;
         if (!events[k]) return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is NULL", (unsigned)k);
         error = clGetEventInfo(events[k], CL_EVENT_CONTEXT, sizeof context, &context, NULL);
-        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
+        if (error != CL_SUCCESS) return gffe_checked(g, error, "asking about an event to wait for");
         if (context != g->context)
             return gffe_fail(g, GFFE_INVALID, "wait_for: event %u is of another context", (unsigned)k);
         error = clGetEventInfo(events[k], CL_EVENT_COMMAND_EXECUTION_STATUS, sizeof state, &state, NULL);
-        if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, "asking about an event to wait for");
+        if (error != CL_SUCCESS) return gffe_checked(g, error, "asking about an event to wait for");
         if (state < 0) /* some drivers would wait for ever */
             return gffe_fail(g, GFFE_INVALID, "wait_for: event %u has failed (OpenCL error %d)", (unsigned)k,
                              (int)state);
     }
     error = count ? clEnqueueBarrierWithWaitList(g->queue, count, events, NULL) : CL_SUCCESS;
-    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "waiting for events");
+    return gffe_checked(g, error, "waiting for events");
 }
 
 gffe_status gffe_mark(gffe *g, cl_event *done) {
@@ -226,5 +226,5 @@ gffe_status gffe_mark(gffe *g, cl_event *done) {
     if (!done) return GFFE_OK;
     error = clEnqueueMarkerWithWaitList(g->queue, 0, NULL, done);
     if (error == CL_SUCCESS) error = clFlush(g->queue);
-    return error == CL_SUCCESS ? GFFE_OK : gffe_opencl_failed(g, error, "an event for finished work");
+    return gffe_checked(g, error, "an event for finished work");
 }

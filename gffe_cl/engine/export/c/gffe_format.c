@@ -157,22 +157,15 @@ void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
         block->from_geometry.s[2 + k] = (float)-shift;
     }
     if (format->depth == GFFE_DEVICE) {
-        block->given_depth.s[0] = (float)((1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most);
-        block->given_depth.s[1] = block->given_depth.s[3] = (float)(far_value * depth_most);
-        block->given_depth.s[2] = (float)(1 / farthest);
+        const double factor = (1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most;
+        block->given_depth = gffe_floats(factor, far_value * depth_most, 1 / farthest, far_value * depth_most);
     } else if (format->depth == GFFE_LOGARITHMIC) {
         const double above = nearest > 0 ? 0 : 1;
-        block->given_depth.s[0] =
-            (float)(log((farthest + above) / (nearest + above)) / (far_value - near_value) / depth_most);
-        block->given_depth.s[1] = (float)(near_value * depth_most);
-        block->given_depth.s[2] = (float)nearest;
-        block->given_depth.s[3] = (float)(far_value * depth_most);
+        const double factor = log((farthest + above) / (nearest + above)) / (far_value - near_value) / depth_most;
+        block->given_depth = gffe_floats(factor, near_value * depth_most, nearest, far_value * depth_most);
     } else {
-        const double factor = (farthest - nearest) / (far_value - near_value) / depth_most;
-        block->given_depth.s[0] = (float)(factor * format->depth_scale);
-        block->given_depth.s[1] = (float)(near_value * depth_most);
-        block->given_depth.s[2] = (float)(nearest * format->depth_scale);
-        block->given_depth.s[3] = NAN;
+        const double factor = (farthest - nearest) / (far_value - near_value) / depth_most, scale = format->depth_scale;
+        block->given_depth = gffe_floats(factor * scale, near_value * depth_most, nearest * scale, NAN);
     }
     block->motion_invalid = NAN;
     if (step->has_motion && !isnan(format->motion_invalid))
@@ -251,7 +244,7 @@ static gffe_status need_converted(gffe *g, int turn) {
         g->converted[turn][k] =
             clCreateBuffer(g->context, CL_MEM_READ_WRITE,
                            texels[k] * (size_t)g->step.source[0] * (size_t)g->step.source[1], NULL, &error);
-        if (!g->converted[turn][k]) return gffe_opencl_failed(g, error, "a buffer for a converted frame");
+        if (!g->converted[turn][k]) return gffe_checked(g, error, "a buffer for a converted frame");
     }
     return GFFE_OK;
 }

@@ -219,6 +219,7 @@ gffe_camera gffe_scaled(const gffe_camera *camera, double scale_x, double scale_
 int gffe_have_one_pose(const gffe_camera *render, const gffe_camera *display);
 
 /* gffe_values.c */
+cl_float4 gffe_floats(double x, double y, double z, double w);
 void gffe_grid_size(const gffe_step *step, int number, size_t size[2]);
 size_t gffe_aligned(const gffe_step *step, size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
@@ -247,6 +248,7 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous);
 void gffe_drop_converted(gffe *g);
 
 /* gffe_overlays.c */
+void gffe_hold(cl_mem *place, cl_mem buffer); /* retains it, and releases what was there */
 gffe_status gffe_take_overlays(gffe *g);
 gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
 void gffe_drop_overlays(gffe *g);
@@ -258,7 +260,8 @@ gffe_status gffe_need(gffe *g, const void *argument, const char *name);
 gffe_status gffe_need_number(gffe *g, const char *name, double value, double low, double high);
 gffe_status gffe_need_whole(gffe *g, const char *name, int value, int low, int high);
 gffe_status gffe_fail(gffe *g, gffe_status status, const char *format, ...);
-gffe_status gffe_opencl_failed(gffe *g, cl_int error, const char *doing);
+/* Returns what an error of OpenCL means. */
+gffe_status gffe_checked(gffe *g, cl_int error, const char *doing);
 
 /* gffe_device.c */
 gffe_status gffe_open(gffe *g);

@@ -129,7 +129,7 @@ gffe_status gffe_allocate(gffe *g, int late) {
                 cl_mem *made = &g->memory[2 * number + k];
                 const cl_int error =
                     parts ? create_part(g, place, place->root ^ k, made) : create(g, buffer->byte, place->bytes, made);
-                if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, buffer->name);
+                if (error != CL_SUCCESS) return gffe_checked(g, error, buffer->name);
             }
         }
     return GFFE_OK;
@@ -155,7 +155,7 @@ gffe_status gffe_check_bytes(gffe *g, cl_mem buffer, const char *name, const int
     error = clGetMemObjectInfo(buffer, CL_MEM_TYPE, sizeof type, &type, NULL);
     if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_SIZE, sizeof size, &size, NULL);
     if (error == CL_SUCCESS) error = clGetMemObjectInfo(buffer, CL_MEM_CONTEXT, sizeof context, &context, NULL);
-    if (error != CL_SUCCESS) return gffe_opencl_failed(g, error, name);
+    if (error != CL_SUCCESS) return gffe_checked(g, error, name);
     if (type != CL_MEM_OBJECT_BUFFER)
         return gffe_fail(g, GFFE_INVALID, "frame: %s is an image (expected a buffer: clEnqueueCopyImageToBuffer)",
                          name);

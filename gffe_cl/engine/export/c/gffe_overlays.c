@@ -6,7 +6,7 @@
 enum { LAYERS = 4 };
 static const char *const NAMES[LAYERS] = {"fixed_mask", "effects", "effects_motion", "ui"};
 
-static void hold(cl_mem *place, cl_mem buffer) {
+void gffe_hold(cl_mem *place, cl_mem buffer) {
     if (buffer) clRetainMemObject(buffer);
     if (*place) clReleaseMemObject(*place);
     *place = buffer;
@@ -27,7 +27,7 @@ gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays) {
         return gffe_fail(g, GFFE_INVALID, "frame: effects_motion without effects (expected both, or effects alone)");
     for (k = 0; k < LAYERS && !status; ++k)
         if (given[k]) status = gffe_check_buffer(g, given[k], NAMES[k], GFFE_OVERLAYS_FIXED_MASK + 2 * k);
-    for (k = 0; k < LAYERS && !status; ++k) hold(&g->overlays[k], given[k]);
+    for (k = 0; k < LAYERS && !status; ++k) gffe_hold(&g->overlays[k], given[k]);
     return status;
 }
 
@@ -42,17 +42,17 @@ gffe_status gffe_take_overlays(gffe *g) {
     gffe_status status = GFFE_OK;
     int k;
     for (k = 0; k < LAYERS; ++k) {
-        hold(&g->memory[GFFE_OVERLAYS_FIXED_MASK + 2 * k], g->overlays[k]);
+        gffe_hold(&g->memory[GFFE_OVERLAYS_FIXED_MASK + 2 * k], g->overlays[k]);
         g->step.has[k] = g->overlays[k] != NULL;
-        hold(&g->overlays[k], NULL);
+        gffe_hold(&g->overlays[k], NULL);
     }
-    hold(&g->memory[GFFE_SHOWN_DEPTH], g->memory[GFFE_RENDERED_DEPTH]);
+    gffe_hold(&g->memory[GFFE_SHOWN_DEPTH], g->memory[GFFE_RENDERED_DEPTH]);
     if (has_overlays(g) && !g->memory[own]) status = gffe_allocate(g, GFFE_OF_OVERLAYS);
     if (status || !g->memory[own]) return status;
     gffe_swap(g, GFFE_OF_OVERLAYS);
     if (!g->step.has[0]) return GFFE_OK;
     status = gffe_run(g, GFFE_LEAVE_OUT);
-    hold(&g->memory[GFFE_RENDERED_DEPTH], g->memory[own]);
+    gffe_hold(&g->memory[GFFE_RENDERED_DEPTH], g->memory[own]);
     return status;
 }
 
@@ -68,5 +68,5 @@ gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made) {
 
 void gffe_drop_overlays(gffe *g) {
     int k;
-    for (k = 0; k < LAYERS; ++k) hold(&g->overlays[k], NULL);
+    for (k = 0; k < LAYERS; ++k) gffe_hold(&g->overlays[k], NULL);
 }

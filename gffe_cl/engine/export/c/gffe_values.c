@@ -4,6 +4,15 @@
 
 #include "gffe_internal.h"
 
+cl_float4 gffe_floats(double x, double y, double z, double w) {
+    cl_float4 made;
+    made.s[0] = (float)x;
+    made.s[1] = (float)y;
+    made.s[2] = (float)z;
+    made.s[3] = (float)w;
+    return made;
+}
+
 static size_t rounded_up(size_t n, size_t side) { return (n + side - 1) / side; }
 
 size_t gffe_aligned(const gffe_step *step, size_t n) { return rounded_up(n, step->alignment) * step->alignment; }
@@ -44,39 +53,20 @@ size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer) {
 
 /* Computes the reprojection for kernels: source view space -> target view space, three rows; both projections, and the
    source's inverse. */
-static void reprojection(const gffe_camera *source, const gffe_camera *target, float made[24]) {
-    double matrix[3][4];
-    int i, j;
-    gffe_view_transform(source, target, matrix);
-    for (i = 0; i < 3; ++i)
-        for (j = 0; j < 4; ++j) made[4 * i + j] = (float)matrix[i][j];
-    made[12] = (float)source->fx;
-    made[13] = (float)source->fy;
-    made[14] = (float)source->cx;
-    made[15] = (float)source->cy;
-    made[16] = (float)(1 / source->fx);
-    made[17] = (float)(1 / source->fy);
-    made[18] = (float)source->cx;
-    made[19] = (float)source->cy;
-    made[20] = (float)target->fx;
-    made[21] = (float)target->fy;
-    made[22] = (float)target->cx;
-    made[23] = (float)target->cy;
+static void reprojection(const gffe_camera *source, const gffe_camera *target, cl_float4 made[6]) {
+    double rows[3][4];
+    int k;
+    gffe_view_transform(source, target, rows);
+    for (k = 0; k < 3; ++k) made[k] = gffe_floats(rows[k][0], rows[k][1], rows[k][2], rows[k][3]);
+    made[3] = gffe_floats(source->fx, source->fy, source->cx, source->cy);
+    made[4] = gffe_floats(1 / source->fx, 1 / source->fy, source->cx, source->cy);
+    made[5] = gffe_floats(target->fx, target->fy, target->cx, target->cy);
 }
 
-/* Computes the target pixels per source pixel of points equally far from both cameras. */
-static void zoom(const gffe_camera *source, const gffe_camera *target, float made[2]) {
-    made[0] = (float)(target->fx / source->fx);
-    made[1] = (float)(target->fy / source->fy);
-}
-
-/* Computes scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */
-static void mapping(const gffe_camera *a, const gffe_camera *b, float made[4]) {
+/* Returns scale x, scale y, offset x, offset y from pixels of `a` to pixels of `b`, which have one pose. */
+static cl_float4 mapping(const gffe_camera *a, const gffe_camera *b) {
     const double scale_x = b->fx / a->fx, scale_y = b->fy / a->fy;
-    made[0] = (float)scale_x;
-    made[1] = (float)scale_y;
-    made[2] = (float)(b->cx - scale_x * a->cx);
-    made[3] = (float)(b->cy - scale_y * a->cy);
+    return gffe_floats(scale_x, scale_y, b->cx - scale_x * a->cx, b->cy - scale_y * a->cy);
 }
 
 /* Computes the Lagrange weights of P_i - P_0 for every order that the times allow, one after
@@ -94,14 +84,6 @@ static void polynomial(const gffe_step *step, int most, float *weights) {
             }
             weights[order * (order - 1) / 2 + i - 1] = (float)weight;
         }
-}
-
-static void color_law(double exposure, float *made) {
-    const double gain = GFFE_MU * exposure / GFFE_HEADROOM, scale = log1p(GFFE_MU);
-    made[0] = (float)gain;
-    made[1] = (float)(1 / scale);
-    made[2] = (float)(1 / gain);
-    made[3] = (float)scale;
 }
 
 static void level_starts(const gffe_step *step, int levels, cl_int *made) {
@@ -128,6 +110,7 @@ int gffe_stays(const gffe_step *step) {
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block) {
     const gffe_camera *source = &step->cameras[GFFE_FRAME], *previous = &step->cameras[GFFE_PREVIOUS];
     const gffe_camera *target = &step->cameras[GFFE_TARGET_CAMERA], *display = &step->cameras[GFFE_FRAME_DISPLAY];
+    const double gain = GFFE_MU * step->exposure / GFFE_HEADROOM, scale = log1p(GFFE_MU);
     int k;
     memcpy(block, gffe_facts, sizeof *block);
     if (block->levels > 0) level_starts(step, block->levels, block->level_starts.s);
@@ -135,11 +118,11 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     grid_sides(step, GFFE_TARGET, &block->target_width, &block->target_height);
     grid_sides(step, GFFE_NETWORK, &block->network_width, &block->network_height);
     grid_sides(step, GFFE_CELLS, &block->cells_width, &block->cells_height);
-    reprojection(source, previous, (float *)&block->to_previous);
-    reprojection(previous, source, (float *)&block->from_previous);
-    mapping(display, source, block->to_render.s);
-    mapping(source, display, block->to_display.s);
-    mapping(previous, &step->cameras[GFFE_PREVIOUS_DISPLAY], block->to_previous_display.s);
+    reprojection(source, previous, block->to_previous);
+    reprojection(previous, source, block->from_previous);
+    block->to_render = mapping(display, source);
+    block->to_display = mapping(source, display);
+    block->to_previous_display = mapping(previous, &step->cameras[GFFE_PREVIOUS_DISPLAY]);
     for (k = 0; k < 2; ++k) block->pixel_size.s[k] = 1 / block->to_render.s[k];
     block->camera_step = (float)gffe_distance(source, previous);
     block->has_previous = step->time_count > 1;
@@ -153,14 +136,15 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     block->exposure = (float)step->exposure;
     block->code_offset = (float)(block->code_offset / sqrt(fmax(step->exposure, 1.0 / 65504)));
     block->alpha = (float)step->alpha;
-    color_law(step->exposure, block->color_law.s);
+    block->color_law = gffe_floats(gain, 1 / scale, 1 / gain, scale);
     if (block->order > step->time_count - 1) block->order = step->time_count - 1;
     for (k = 0; k < 4; ++k) block->has_overlays |= step->has[k] << k;
     if (step->converts) gffe_fill_given(step, block);
     if (!is_new) return;
-    reprojection(source, target, (float *)&block->to_target);
-    reprojection(target, source, (float *)&block->to_source);
-    reprojection(target, previous, (float *)&block->target_to_previous);
-    zoom(source, target, block->zoom.s);
+    reprojection(source, target, block->to_target);
+    reprojection(target, source, block->to_source);
+    reprojection(target, previous, block->target_to_previous);
+    block->zoom.s[0] = (float)(target->fx / source->fx); /* pixels per pixel of points as far from both cameras */
+    block->zoom.s[1] = (float)(target->fy / source->fy);
     polynomial(step, GFFE_MOST_TIMES - 1, (float *)block->polynomial);
 }
