@@ -189,7 +189,7 @@ class _Rehearsal:
         cameras = [Camera.from_pose(*pose, *rng.uniform(20, 900, 4)) for _ in range(5)]
         new, *times = np.cumsum(-rng.uniform(0.01, 0.1, 2 if first else (3, 7)[number])).tolist()
         device, alpha, exposure = self.board.device, rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
-        frame, previous = (DeviceFrame.allocate(device, (1, 1), *pair, 0.0) for pair in (cameras[:2], cameras[2:4]))
+        frame, previous = (DeviceFrame.allocate(device, (1, 1), *cameras[k : k + 2], time=0.0) for k in (0, 2))
         return Step(frame, None if first else previous, times, cameras[4], new, alpha, exposure)
 
     def _learn_names(self) -> None:

@@ -18,7 +18,7 @@ from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
 from gffe_cl.engine.stages import frame_block, measures
 from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage
 from gffe_cl.engine.stages.buffers import CUT_SAMPLES, LEAST_ALIGNMENT, BufferSpec, Sizes, grid_of
-from gffe_cl.engine.stages.frame_block import FRAME, MOST_NUMBER, MOST_RESTS
+from gffe_cl.engine.stages.frame_block import FRAME
 from gffe_cl.engine.stages.upload import Upload
 
 # Inputs from callers, and their displayed part: name, grid and bytes.
@@ -47,6 +47,13 @@ _FORMAT_FLAGS = {
     "motion_direction": "motion_from_previous",
     "motion_y": "motion_y_up",
 }
+# Constants of modules, and what stands before their names in C.
+_TAKEN = (
+    (camera, "", "MOST_ALPHA RIGIDITY_TOLERANCE MOST_FOCAL MOST_DISTANCE"),
+    (frame_format, "", "MOST_JITTER MOST_PLANES MOST_RATIO"),
+    (frame_block, "", "MU HEADROOM MOST_NUMBER MOST_RESTS"),
+    (measures, "CUT_", "LEAST_SAMPLES LEAST_OVERLAP DEPTH_SURE DEPTH_UNSURE CONTRAST_RIGHT LEAST_CONTRASTS TELEPORT"),
+)
 _HEADER = "/* Made by `gffe export`; not to be edited. */\n"
 
 
@@ -57,34 +64,17 @@ def config(options: Options, occasions: Iterable[str]) -> str:
         "LEAST_ALIGNMENT": LEAST_ALIGNMENT,
         "MAX_LEVELS": MAX_LEVELS,
         "MOST_TIMES": MAX_ORDER + 1,
-        "MOST_NUMBER": MOST_NUMBER,
-        "MOST_RESTS": MOST_RESTS,
         "LARGEST": validation.LARGEST,
         "LEAST_FRAME_RATE": validation.FRAME_RATES[0],
         "MOST_FRAME_RATE": validation.FRAME_RATES[1],
         "LEAST_EXPOSURE": validation.EXPOSURES[0],
         "MOST_EXPOSURE": validation.EXPOSURES[1],
-        "MOST_ALPHA": camera.MOST_ALPHA,
-        "RIGIDITY_TOLERANCE": camera.RIGIDITY_TOLERANCE,
-        "MOST_FOCAL": camera.MOST_FOCAL,
-        "MOST_DISTANCE": camera.MOST_DISTANCE,
         "SAME_POSE": SAME_POSE,
-        "MOST_JITTER": frame_format.MOST_JITTER,
-        "MOST_PLANES": frame_format.MOST_PLANES,
-        "MOST_RATIO": frame_format.MOST_RATIO,
-        "MU": frame_block.MU,
-        "HEADROOM": frame_block.HEADROOM,
         "CUT_DETECTION": int(options.cut_detection),
         "UPSCALES": int(options.upscale > 0),
         "CUT_SAMPLES_Y": CUT_SAMPLES[1],
-        "CUT_LEAST_SAMPLES": measures.LEAST_SAMPLES,
-        "CUT_LEAST_OVERLAP": measures.LEAST_OVERLAP,
-        "CUT_DEPTH_SURE": measures.DEPTH_SURE,
-        "CUT_DEPTH_UNSURE": measures.DEPTH_UNSURE,
-        "CUT_CONTRAST_RIGHT": measures.CONTRAST_RIGHT,
-        "CUT_LEAST_CONTRASTS": measures.LEAST_CONTRASTS,
-        "CUT_TELEPORT": measures.TELEPORT,
     }
+    numbers |= {prefix + name: getattr(module, name) for module, prefix, names in _TAKEN for name in names.split()}
     lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
     enums = {  # by the name of their number of members
         "counted": measures.COUNTED,

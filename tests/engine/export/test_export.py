@@ -387,14 +387,7 @@ def test_overlays_lie_over_the_picture(device, library):
 @pytest.mark.long
 @pytest.mark.slow
 def test_one_pixel_per_work_item_as_on_gpus_gives_the_same_frames(device, library):
-    engine = Engine(library(DEFAULT), device, W, H, lanes=1, int64_atomics=0)
-    pipeline = Pipeline(device, W, H, DEFAULT)
-    for frame in moving(device, 3):
-        pipeline.submit(frame)
-        submit(engine, frame)
-        time = frame.time + 0.5 * pipeline.interval
-        assert_same_frame(engine, engine.extrapolate(time, frame.camera), pipeline.extrapolate(frame.camera, time))
-    engine.destroy()
+    run_both(device, library, DEFAULT, moving(device, 3), lanes=1, int64_atomics=0)
 
 
 @pytest.mark.slow
