@@ -127,9 +127,9 @@ void gffe_destroy(gffe *g) {
         if (g->kernels[k]) clReleaseKernel(g->kernels[k]);
     for (k = 0; g->programs && k < gffe_program_count; ++k)
         if (g->programs[k]) clReleaseProgram(g->programs[k]);
-    gffe_drop_overlays(g);
-    gffe_drop_converted(g);
-    if (g->no_motion) clReleaseMemObject(g->no_motion);
+    for (k = 0; k < GFFE_LAYERS; ++k) gffe_hold(&g->overlays[k], NULL);
+    for (k = 0; k < GFFE_CONVERTED; ++k) gffe_hold(&g->converted[k], NULL);
+    gffe_hold(&g->no_motion, NULL);
     if (g->queue) clReleaseCommandQueue(g->queue);
     if (g->context) clReleaseContext(g->context);
     free(g->places);

@@ -228,40 +228,31 @@ gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]) {
     return GFFE_OK;
 }
 
-/* Makes the buffers of a converted frame: `turn` 0 and 1 have one motion, for nothing reads that of the frame before.
- */
-static gffe_status need_converted(gffe *g, int turn) {
+/* Makes color and depth of two converted frames, and one motion, for nothing reads that of the frame before. */
+static gffe_status need_converted(gffe *g) {
     static const size_t texels[GFFE_BUFFERS] = {8, 4, 8};
+    const size_t pixels = (size_t)g->step.source[0] * (size_t)g->step.source[1];
+    cl_int error = CL_SUCCESS;
     int k;
-    for (k = 0; k < GFFE_BUFFERS; ++k) {
-        cl_int error;
-        if (g->converted[turn][k]) continue;
-        if (k == GFFE_MOTION && g->converted[!turn][k]) {
-            g->converted[turn][k] = g->converted[!turn][k];
-            clRetainMemObject(g->converted[turn][k]);
-            continue;
-        }
-        g->converted[turn][k] =
-            clCreateBuffer(g->context, CL_MEM_READ_WRITE,
-                           texels[k] * (size_t)g->step.source[0] * (size_t)g->step.source[1], NULL, &error);
-        if (!g->converted[turn][k]) return gffe_checked(g, error, "a buffer for a converted frame");
-    }
-    return GFFE_OK;
+    for (k = 0; k < GFFE_CONVERTED && !g->converted[k] && error == CL_SUCCESS; ++k)
+        g->converted[k] = clCreateBuffer(g->context, CL_MEM_READ_WRITE, texels[k / 2] * pixels, NULL, &error);
+    return gffe_checked(g, error, "a buffer for a converted frame");
 }
 
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]) {
     const int color = !are_ours(&g->step.format, GFFE_OF_COLOR),
               geometry = is_small(&g->step) || !are_ours(&g->step.format, GFFE_OF_GEOMETRY);
+    gffe_status status;
     int k;
     g->converts[0] = color;
     g->converts[1] = geometry;
     for (k = 0; k < GFFE_BUFFERS; ++k) frame[k] = given[k];
     if (!color && !geometry) return GFFE_OK;
     g->turn = !g->turn;
-    if (need_converted(g, g->turn)) return GFFE_OUT_OF_MEMORY;
-    for (k = 0; k < GFFE_BUFFERS; ++k)
-        if (k == GFFE_COLOR ? color : geometry) frame[k] = g->converted[g->turn][k];
-    return GFFE_OK;
+    status = need_converted(g);
+    for (k = 0; k < GFFE_BUFFERS && !status; ++k)
+        if (k == GFFE_COLOR ? color : geometry) frame[k] = g->converted[k == GFFE_MOTION ? 2 * k : 2 * k + g->turn];
+    return status;
 }
 
 gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
@@ -286,11 +277,4 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
     step->converts = 0;
     for (k = 0; k < GFFE_BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
     return status;
-}
-
-void gffe_drop_converted(gffe *g) {
-    int turn, k;
-    for (turn = 0; turn < 2; ++turn)
-        for (k = 0; k < GFFE_BUFFERS; ++k)
-            if (g->converted[turn][k]) clReleaseMemObject(g->converted[turn][k]);
 }

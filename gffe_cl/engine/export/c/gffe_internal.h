@@ -13,7 +13,7 @@
 extern "C" {
 #endif
 
-enum { GFFE_COLOR, GFFE_DEPTH, GFFE_MOTION, GFFE_BUFFERS }; /* of an engine */
+enum { GFFE_COLOR, GFFE_DEPTH, GFFE_MOTION, GFFE_BUFFERS, GFFE_CONVERTED = 5, GFFE_LAYERS = 4 }; /* of an engine */
 
 enum { GFFE_FRAME, GFFE_PREVIOUS, GFFE_TARGET_CAMERA, GFFE_FRAME_DISPLAY, GFFE_PREVIOUS_DISPLAY, GFFE_CAMERAS };
 
@@ -188,11 +188,11 @@ struct gffe {
     int part_count;
     gffe_place *places;
     cl_mem no_motion;
-    cl_mem overlays[4]; /* of the next frame */
+    cl_mem overlays[GFFE_LAYERS]; /* of the next frame */
     int has_format, converts[2]; /* color; depth and motion */
     double jitter[2]; /* of the next frame's geometry, pixels of this */
     double exposure;  /* of the next frame */
-    cl_mem converted[2][3]; /* color, depth and motion of two frames in turn */
+    cl_mem converted[GFFE_CONVERTED]; /* color and depth of two frames in turn, and one motion */
     int turn;
     int counts;     /* of a cut: the buffer's reference, or -1 */
     gffe_step step;
@@ -245,13 +245,11 @@ gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]);
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]);
 /* Converts the given buffers into the rendered frame's, whose cameras are set. */
 gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous);
-void gffe_drop_converted(gffe *g);
 
 /* gffe_overlays.c */
 void gffe_hold(cl_mem *place, cl_mem buffer); /* retains it, and releases what was there */
 gffe_status gffe_take_overlays(gffe *g);
 gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
-void gffe_drop_overlays(gffe *g);
 
 /* gffe.c */
 /* Returns GFFE_INVALID unless `g` was created without error and `argument`, of that name, is not NULL. */

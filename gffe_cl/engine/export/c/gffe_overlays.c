@@ -3,8 +3,7 @@
 
 #include "gffe_internal.h"
 
-enum { LAYERS = 4 };
-static const char *const NAMES[LAYERS] = {"fixed_mask", "effects", "effects_motion", "ui"};
+static const char *const NAMES[GFFE_LAYERS] = {"fixed_mask", "effects", "effects_motion", "ui"};
 
 void gffe_hold(cl_mem *place, cl_mem buffer) {
     if (buffer) clRetainMemObject(buffer);
@@ -13,7 +12,7 @@ void gffe_hold(cl_mem *place, cl_mem buffer) {
 }
 
 gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays) {
-    cl_mem given[LAYERS] = {NULL, NULL, NULL, NULL};
+    cl_mem given[GFFE_LAYERS] = {NULL, NULL, NULL, NULL};
     gffe_status status = gffe_need(g, g, "gffe");
     int k;
     if (status) return status;
@@ -25,15 +24,15 @@ gffe_status gffe_set_overlays(gffe *g, const gffe_overlays *overlays) {
     }
     if (given[2] && !given[1])
         return gffe_fail(g, GFFE_INVALID, "frame: effects_motion without effects (expected both, or effects alone)");
-    for (k = 0; k < LAYERS && !status; ++k)
+    for (k = 0; k < GFFE_LAYERS && !status; ++k)
         if (given[k]) status = gffe_check_buffer(g, given[k], NAMES[k], GFFE_OVERLAYS_FIXED_MASK + 2 * k);
-    for (k = 0; k < LAYERS && !status; ++k) gffe_hold(&g->overlays[k], given[k]);
+    for (k = 0; k < GFFE_LAYERS && !status; ++k) gffe_hold(&g->overlays[k], given[k]);
     return status;
 }
 
 static int has_overlays(const gffe *g) {
     int k, any = 0;
-    for (k = 0; k < LAYERS; ++k) any = any || g->step.has[k];
+    for (k = 0; k < GFFE_LAYERS; ++k) any = any || g->step.has[k];
     return any;
 }
 
@@ -41,7 +40,7 @@ gffe_status gffe_take_overlays(gffe *g) {
     const int own = gffe_reference(g, "composition.depth");
     gffe_status status = GFFE_OK;
     int k;
-    for (k = 0; k < LAYERS; ++k) {
+    for (k = 0; k < GFFE_LAYERS; ++k) {
         gffe_hold(&g->memory[GFFE_OVERLAYS_FIXED_MASK + 2 * k], g->overlays[k]);
         g->step.has[k] = g->overlays[k] != NULL;
         gffe_hold(&g->overlays[k], NULL);
@@ -64,9 +63,4 @@ gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made) {
     g->memory[GFFE_SHOWN_COLOR] = NULL;
     made->color = g->memory[gffe_reference(g, "composition.color")];
     return status;
-}
-
-void gffe_drop_overlays(gffe *g) {
-    int k;
-    for (k = 0; k < LAYERS; ++k) gffe_hold(&g->overlays[k], NULL);
 }
