@@ -41,7 +41,7 @@ from gffe_cl.engine.frame.rendered_frame import Overlays, RenderedFrame, host_ar
 from gffe_cl.engine.frame.window import Jitter, WindowChooser
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.buffers import Owner, spread
+from gffe_cl.engine.stages.buffers import Owner, grid_of, spread
 from gffe_cl.engine.stages.holes import Downsampled
 from gffe_cl.engine.stages.warp import Warp
 
@@ -585,6 +585,11 @@ def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch
     monkeypatch.setattr(Downsampled, "extrapolated", twice)
     with pytest.raises(GffeError, match=r"holes.downsample depends on the image or the frame"):
         record(device, DEEP, True)
+
+
+def test_a_grid_that_does_not_exist_is_refused():
+    with pytest.raises(GffeError, match=r"there is no grid 'diamonds' \(expected "):
+        grid_of("diamonds")
 
 
 @pytest.mark.slow
