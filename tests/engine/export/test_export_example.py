@@ -19,6 +19,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 
 COUNT, SIZE = 4, "70x52"
 SYSTEM_VENDORS = Path("/etc/OpenCL/vendors")
+LINKED_BY_OTHERS = "-Wl,--unresolved-symbols=ignore-in-shared-libs"
 SUPPRESSED = "".join(f"leak:{name}\n" for name in ("libpocl", "libOpenCL", "libLLVM", "libclang", "ld-linux"))
 
 
@@ -48,21 +49,10 @@ def loader(tmp_path_factory):
         found = f"{folder}/libOpenCL.so"
         link = [found] if folder and Path(found).exists() else ["-lOpenCL"]
         empty = tmp_path_factory.mktemp("loader") / "none"
-        run = [
-            "cc",
-            "-x",
-            "c",
-            "-",
-            "-x",
-            "none",
-            *link,
-            "-o",
-            str(empty),
-            "-Wl,--unresolved-symbols=ignore-in-shared-libs",
-        ]
+        run = ["cc", "-x", "c", "-", "-x", "none", *link, "-o", str(empty), LINKED_BY_OTHERS]
         if not subprocess.run(run, input="int main(void) { return 0; }", text=True, capture_output=True).returncode:
             extra = {"LD_LIBRARY_PATH": folder} if folder else {}
-            return [*link, "-Wl,--unresolved-symbols=ignore-in-shared-libs", "-lm"], environment | extra
+            return [*link, LINKED_BY_OTHERS, "-lm"], environment | extra
     pytest.skip("no libOpenCL to link (Debian: ocl-icd-opencl-dev)")
 
 
@@ -77,10 +67,9 @@ def compiled(folder, loader, name, *flags):
     return folder / name
 
 
-def example(program, folder, out, loader, **environment):
-    out.mkdir(exist_ok=True)
-    command = [str(program), str(folder / "frames"), str(out), "Portable"]
-    return subprocess.run(command, env=loader[1] | environment, capture_output=True, text=True, timeout=300)
+def example(loader, *arguments, **environment):
+    """The finished process of the example."""
+    return subprocess.run(arguments, env=loader[1] | environment, capture_output=True, text=True, timeout=300)
 
 
 def test_strict_compilers_of_c_and_cpp_take_it(folder):
@@ -105,7 +94,8 @@ def test_the_example_makes_what_python_makes_and_leaks_nothing(folder, loader, d
     program = compiled(folder, loader, "watched", "-g", "-O1", "-fsanitize=address,undefined")
     (folder / "suppressed").write_text(SUPPRESSED)
     watch = {"LSAN_OPTIONS": f"suppressions={folder / 'suppressed'}", "UBSAN_OPTIONS": "halt_on_error=1"}
-    ran = example(program, folder, folder / "out", loader, **watch)
+    (folder / "out").mkdir(exist_ok=True)
+    ran = example(loader, program, folder / "frames", folder / "out", "Portable", **watch)
     if "LeakSanitizer has encountered a fatal error" in ran.stderr:
         pytest.skip("leaks cannot be looked for here (no ptrace)")
     assert ran.returncode == 0, ran.stderr
@@ -130,13 +120,14 @@ def test_the_example_says_what_is_wrong(folder, loader, tmp_path):
     short = tmp_path / "frames"
     shutil.copytree(folder / "frames", short)
     (short / "0001.depth").write_bytes(b"1234")
-    for frames, wanted in ((tmp_path / "none", "cannot be read"), (short, "0001: the file is too short")):
-        command = [str(program), str(frames), str(tmp_path), "Portable"]
-        ran = subprocess.run(command, env=loader[1], capture_output=True, text=True)
+    for arguments, wanted in (
+        ((), "usage"),
+        ((tmp_path / "none", tmp_path, "Portable"), "cannot be read"),
+        ((short, tmp_path, "Portable"), "0001: the file is too short"),
+        ((short, tmp_path, "No such"), "there is no such platform"),
+    ):
+        ran = example(loader, program, *arguments)
         assert ran.returncode == 2 and wanted in ran.stderr and len(ran.stderr.splitlines()) == 1
-    assert subprocess.run([str(program)], env=loader[1], capture_output=True).returncode == 2
-    ran = subprocess.run([program, short, tmp_path, "No such"], env=loader[1], capture_output=True, text=True)
-    assert ran.returncode == 2 and "there is no such platform" in ran.stderr
 
 
 @pytest.mark.long
@@ -145,7 +136,7 @@ def test_the_readme_s_commands_work_as_they_are(folder, loader, tmp_path):
     copy = tmp_path / "c"
     shutil.copytree(folder, copy, ignore=shutil.ignore_patterns("out", "build"))
     commands = [line for line in (copy / "README.md").read_text().splitlines() if line.startswith("    ")][:2]
-    given = {"LDFLAGS": "-Wl,--unresolved-symbols=ignore-in-shared-libs"}
+    given = {"LDFLAGS": LINKED_BY_OTHERS}
     given["CMAKE_LIBRARY_PATH"] = str(Path(loader[0][0]).parent) if loader[0][0].endswith(".so") else ""
     given["CMAKE_INCLUDE_PATH"] = os.environ.get("C_INCLUDE_PATH", "")
     subprocess.run(["sh", "-ec", "\n".join(commands)], cwd=copy, env=loader[1] | given, check=True, timeout=600)
