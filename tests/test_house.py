@@ -30,6 +30,7 @@ FLOORS = {
         ("inference",),
         ("options",),
         ("stages",),
+        ("upscaling",),
         ("pipeline",),
         ("timing", "export", "inspection"),
         ("selftest",),

@@ -21,14 +21,13 @@ from gffe_cl.engine.inference.network import OPENCL, load_network
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.outputs import stages_of
-from gffe_cl.engine.stages.base import Board, FrameBlocks, Stage, Step
+from gffe_cl.engine.stages.base import Board, FrameBlocks, Stage, Step, pictures_of
 from gffe_cl.engine.stages.buffers import BufferSpec, DeviceFrame, Sizes
 from gffe_cl.engine.stages.commands import Commands, Launch
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.measures import SceneCuts
 from gffe_cl.engine.stages.presentation import Composition, Presentation
 from gffe_cl.engine.stages.upload import Upload
-from gffe_cl.engine.stages.upscaling import Upscaling
 
 MOST_PIXELS = 16384  # each way, of the images that C takes
 # Rendered and extrapolated images: as wide and as high as C takes them, for there are levels that others do not have.
@@ -156,7 +155,7 @@ class _Rehearsal:
         composition.take({name: composition.buffer[name] for name in OVERLAYS}, whole)
         found = {"leave_out": self.tape.take()}
         composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
-        present, with_color = self.all[Presentation.name].present, Upscaling.name not in self.stages
+        present, with_color = self.all[Presentation.name].present, "rendered" not in pictures_of(stages)
         for occasion, work in (
             ("cut", lambda: [stage.rendered(rendered) for stage in stages if stage.name == SceneCuts.name]),
             ("rendered", lambda: [stage.rendered(rendered) for stage in stages if stage.name != SceneCuts.name]),

@@ -15,8 +15,9 @@ from gffe_cl.engine.frame.rendered_frame import BYTES_PER_PIXEL, OVERLAYS, SAME_
 from gffe_cl.engine.opencl.probing import TRIALS
 from gffe_cl.engine.opencl.program import expand
 from gffe_cl.engine.options import MAX_LEVELS, MAX_ORDER, Options
+from gffe_cl.engine.pipeline.outputs import stages_of
 from gffe_cl.engine.stages import frame_block, measures
-from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage
+from gffe_cl.engine.stages.base import Kernel, NearestStage, Stage, pictures_of
 from gffe_cl.engine.stages.buffers import CUT_SAMPLES, LEAST_ALIGNMENT, BufferSpec, Sizes, grid_of
 from gffe_cl.engine.stages.frame_block import FRAME
 from gffe_cl.engine.stages.upload import Upload
@@ -71,11 +72,12 @@ def config(options: Options, occasions: Iterable[str]) -> str:
         "MOST_EXPOSURE": validation.EXPOSURES[1],
         "SAME_POSE": SAME_POSE,
         "CUT_DETECTION": int(options.cut_detection),
-        "UPSCALES": int(options.upscale > 0),
         "CUT_SAMPLES_Y": CUT_SAMPLES[1],
     }
     numbers |= {prefix + name: getattr(module, name) for module, prefix, names in _TAKEN for name in names.split()}
     lines = [f"#define GFFE_{name} {number!r}" for name, number in numbers.items()]
+    pictures = {"rendered": "", "extrapolated": "frame.color"} | pictures_of(stages_of(options))
+    lines += [f'#define GFFE_{occasion.upper()}_PICTURE "{name}"' for occasion, name in pictures.items()]
     enums = {  # by the name of their number of members
         "counted": measures.COUNTED,
         "occasions": occasions,

@@ -20,7 +20,6 @@ LINKS = "connectivity.links"  # neighbors of one surface, a bit each
 TARGET_POSITION = "prediction.target_position"
 COVERAGE = "silhouettes.coverage"
 FOCUS_MASK, FOLLOWED = "correction.focus_mask", "shading_flow.followed"
-UPSCALED, REJECTED, LOCK = "upscaling.history", "upscaling.rejected", "upscaling.lock"
 
 
 def background(name: str, level: int) -> str:

@@ -13,7 +13,7 @@ import pyopencl as cl
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.background import Background
-from gffe_cl.engine.stages.base import Board, Stage
+from gffe_cl.engine.stages.base import Board, Stage, pictures_of
 from gffe_cl.engine.stages.buffers import BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.history import Acceleration, HistoryTracking, PositionPrediction
@@ -22,8 +22,8 @@ from gffe_cl.engine.stages.measures import SceneCuts, Sharpness, UserInterface
 from gffe_cl.engine.stages.network import Convolutions, NetworkInput
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs, ShadingTrend
 from gffe_cl.engine.stages.silhouettes import Silhouettes
-from gffe_cl.engine.stages.upscaling import Upscaling
 from gffe_cl.engine.stages.warp import BackwardBlocks, ColorCode, Connectivity, DilatedWarp, Warp
+from gffe_cl.engine.upscaling.stage import Upscaling
 
 # In the order in which they work, on rendered frames and on new ones.
 STAGES: tuple[type[Stage], ...] = (
@@ -97,8 +97,7 @@ class Outputs:
     def __init__(self, board: Board, stages: Mapping[str, Stage]):
         self._board, self._stages = board, stages
         self.kept: dict[str, Output] = {}
-        # By the occasion: the last stage that makes a picture then.
-        self._makers = {occasion: stage for stage in stages.values() for occasion in stage.pictures}
+        self._pictures = pictures_of(stages.values())
         self._wanted: set[str] | EllipsisType | None = ...  # not chosen yet
 
     def available(self) -> Iterator[tuple[str, BufferSpec]]:
@@ -128,8 +127,8 @@ class Outputs:
 
     def picture(self, occasion: str) -> cl.Buffer | None:
         """Return the result of the last stage that makes a picture on `occasion`, None if no stage does."""
-        maker = self._makers.get(occasion)
-        return maker.buffer[maker.pictures[occasion]] if maker else None
+        found = self._pictures.get(occasion)
+        return self._board.buffer(*found.split(".")) if found else None
 
     def choose(self, wanted: set[str] | None) -> None:
         """Keep the outputs `wanted` (None: all) from the next frame on, and no others."""

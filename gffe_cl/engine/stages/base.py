@@ -279,7 +279,7 @@ class Stage(Owner):
     builds_at_once = True  # else the stage calls `_build` before it launches anything
     needs_footprints = False  # whether it adds to the warp of footprints: a dilated warp does without
     # Which of its buffers holds the picture of the "rendered" or "extrapolated" frame as the stage leaves it; the last
-    # stage that has one makes the final image.
+    # stage that has one makes the final image. Rendered frames, of which a stage makes the picture, may be jittered.
     pictures: ClassVar[Mapping[str, str]] = {}
 
     def __init__(self, board: Board, **variant: int):
@@ -323,6 +323,10 @@ class Stage(Owner):
 
     def extrapolated(self, step: Step) -> None:
         """Work on a new frame, in the order of the stages."""
+
+    def told(self, values: Mapping[str, np.ndarray], is_rendered: bool) -> str:
+        """Return what the stage did to a pixel, for its story, by the `values` of all buffers there; "": nothing."""
+        return ""
 
     def variant(self, step: Step) -> Hashable | None:
         """Return what the stage enqueues for a step by, besides bound buffers and options; None: by more, so that it
@@ -456,6 +460,11 @@ class Stage(Owner):
             assert written == set(kernel.writes), (
                 f"{where}: declared as written {sorted(kernel.writes)}, are {sorted(written)}"
             )
+
+
+def pictures_of(stages: Iterable[Stage | type[Stage]]) -> dict[str, str]:
+    """Return the names of the buffers that hold the final image, by the occasion, as in `Stage.pictures`."""
+    return {occasion: f"{stage.name}.{own}" for stage in stages for occasion, own in stage.pictures.items()}
 
 
 class FrameBlocks(Stage):

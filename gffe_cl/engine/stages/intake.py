@@ -34,7 +34,7 @@ from gffe_cl.engine.frame.rendered_frame import (
 )
 from gffe_cl.engine.frame.window import without_jitter
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.stages.base import Board, Step
+from gffe_cl.engine.stages.base import Board, Step, pictures_of
 from gffe_cl.engine.stages.buffers import RENDERED, RGBA, BufferSpec, DeviceFrame, Owner, Sizes, given_buffer
 from gffe_cl.engine.stages.measures import UserInterface
 from gffe_cl.engine.stages.presentation import Composition
@@ -140,7 +140,7 @@ class Intake:
         board = self._board
         assert board is not None  # `begin` was called
         zero_copy = zero_copy is not False and require_bool(zero_copy, "submit: zero_copy")
-        display_camera = self._display_camera(frame, bool(board.options.upscale))
+        display_camera = self._display_camera(frame, "rendered" in pictures_of(board.stages.values()))
         geometry = self.sizes.source
         if format is not None or frame.geometry_size is not None:
             geometry = require_render_size(format, self.sizes.source, frame.geometry_size)

@@ -22,6 +22,7 @@ from gffe_cl.engine.inference.network import reason
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.opencl.program import build
 from gffe_cl.engine.options import PRESETS, Options
+from gffe_cl.engine.pipeline.outputs import STAGES
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board, read_some_rows
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
@@ -69,6 +70,8 @@ SCN = {
     "network": "SCN, network",
     "network copies": "SCN, copies",
 }
+# Beside extrapolation: the window, and stages that make the picture of rendered frames, too.
+_APART = {"misc", *(stage.name for stage in STAGES if "rendered" in stage.pictures)}
 _COPY_BYTES = 256 << 20
 _COPY_RUN = 64
 _WINDOW = 1.2  # times the display, for presentation
@@ -259,11 +262,11 @@ def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Sampl
 
 
 def _with_sums(parts: dict[str, float]) -> dict[str, float]:
-    """Return the parts in order, with sums: those of GAE in the paper's order, "GAE", "misc", upscaling, those of SCN,
+    """Return the parts in order, with sums: those of GAE in the paper's order, "GAE", what is apart, those of SCN,
     "SCN"."""
     parts = {name: parts[name] for name in (*(n for n in PAPER if n in parts), *(n for n in parts if n not in PAPER))}
     scn = {name: value for name, value in parts.items() if name in SCN.values()}
-    apart = {name: value for name, value in parts.items() if name == "misc" or name == "upscaling"}
+    apart = {name: value for name, value in parts.items() if name in _APART}
     gae = {name: value for name, value in parts.items() if name not in scn and name not in apart}
     return gae | {"GAE": math.fsum(gae.values())} | apart | (scn | {"SCN": math.fsum(scn.values())} if scn else {})
 
@@ -289,8 +292,8 @@ def _windowing(device: Device, presentation: Presentation, turn: Turn) -> float:
 
 
 def group(stage: str) -> str:
-    """Return the group of a stage in tables: "GAE", "SCN" or "upscaling"."""
-    return "SCN" if stage in SCN else "upscaling" if stage == "upscaling" else "GAE"
+    """Return the group of a stage in tables: "GAE", "SCN", or its own name."""
+    return "SCN" if stage in SCN else stage if stage in _APART else "GAE"
 
 
 def part(stage: str, when: str) -> str:

@@ -79,7 +79,7 @@ class FrameLoop:
         return replace(self, width=width, height=height, frames=frames, cameras=cameras)
 
     def shown_larger(self, width: int, height: int) -> FrameLoop:
-        """Return the same frames for a larger display, as upscaling takes them."""
+        """Return the same frames for a larger display."""
         factors = width / self.width, height / self.height
         frames = tuple(replace(f, display_camera=f.camera.scaled(*factors)) for f in self.frames)
         cameras = tuple(camera and camera.scaled(*factors) for camera in self.cameras)

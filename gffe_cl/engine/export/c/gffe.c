@@ -308,7 +308,7 @@ gffe_status gffe_submit_after(gffe *g, cl_mem color, cl_mem depth, cl_mem motion
     if (status) return status;
     step = &g->step;
     if (!display_camera) {
-        shown = GFFE_UPSCALES ? without_jitter(camera, step->source) : *camera;
+        shown = *GFFE_RENDERED_PICTURE ? without_jitter(camera, step->source) : *camera;
         if (step->source[0] != step->target[0] || step->source[1] != step->target[1])
             shown = gffe_scaled(camera, (double)step->target[0] / step->source[0],
                                 (double)step->target[1] / step->source[1]);
@@ -360,9 +360,8 @@ static cl_mem memory_of(const gffe *g, const char *name) {
 }
 
 static void hand_out(const gffe *g, gffe_frame *made) {
-    const cl_mem corrected = memory_of(g, "correction.color"), upscaled = memory_of(g, "upscaling.color");
     made->gae = memory_of(g, "frame.color");
-    made->color = upscaled ? upscaled : corrected ? corrected : made->gae;
+    made->color = memory_of(g, GFFE_EXTRAPOLATED_PICTURE);
     made->depth = memory_of(g, "frame.depth");
     made->motion = memory_of(g, "frame.motion");
     made->dynamic = memory_of(g, "frame.dynamic");
@@ -448,7 +447,7 @@ gffe_status gffe_present_after(gffe *g, gffe_frame *made, cl_uint count, const c
     if (!is_shown_whole(g, GFFE_FRAME, GFFE_FRAME_DISPLAY)
         || (g->has_previous && !is_shown_whole(g, GFFE_PREVIOUS, GFFE_PREVIOUS_DISPLAY)))
         status = resample(g, made);
-    if (GFFE_UPSCALES) made->color = memory_of(g, "upscaling.history");
+    if (*GFFE_RENDERED_PICTURE) made->color = memory_of(g, GFFE_RENDERED_PICTURE);
     if (!status) status = gffe_compose(g, GFFE_COMPOSE_RENDERED, made);
     return status ? status : gffe_mark(g, done);
 }

@@ -42,7 +42,6 @@ from gffe_cl.engine.stages.buffers import (
     FILLED_BY,
 )
 from gffe_cl.engine.stages.measures import Sharpness
-from gffe_cl.engine.stages.upscaling import LOCK_FRAMES, Upscaling
 
 _MIXED = 2 * constants("background.cl")["SAME_LEVEL"]  # relative depth within which texels of a level are mixed
 
@@ -73,44 +72,23 @@ def pixel_story(
 
 def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.ndarray]) -> Story:
     source_px = source_position(pipeline, shot, x, y)
+    told_by_stages = (stage.told(values, not shot.moment.alpha) for stage in pipeline.stages.values())
+    said = tuple(filter(None, told_by_stages))
     if not shot.moment.alpha:
         told = Fragment.at(pipeline, shot, source_px)
-        start = _as_it_is(shot)
-        if Upscaling.name in pipeline.stages:
-            start = _gathered(shot, values)
         return (
-            told.story((x, y), "rendered frame", source_px, (start,))
+            told.story((x, y), "rendered frame", source_px, said or (_as_it_is(shot),))
             if told
             else Story((x, y), "rendered frame", source_px)
         )
     made = _with_sharpness(_how_it_was_made(pipeline, shot, x, y, source_px, values), pipeline, values)
     made = _with_silhouette(made, values)
-    return _with_upscaling(_with_correction(made, pipeline, values), pipeline, values)
+    made = _with_correction(made, pipeline, values)
+    return replace(made, sentences=(*made.sentences, *said))
 
 
 def _as_it_is(shot: Shot) -> str:
     return f"Rendered frame {shot.moment.k} as it is."
-
-
-def _gathered(shot: Shot, values: dict[str, np.ndarray]) -> str:
-    weight, refused = float(values[names.UPSCALED][3]), float(values[names.REJECTED][0]) / 255
-    lock = int(values[names.LOCK][0])
-    locked = f" At rest it was right for {lock} frames." if lock else ""
-    if lock > LOCK_FRAMES:
-        locked = " A thin feature that samples miss at times is kept."
-    return (
-        f"Rendered frame {shot.moment.k}, gathered over time: {weight:.1f} samples; {refused:.0%} of the history was"
-        f" refused.{locked}"
-    )
-
-
-def _with_upscaling(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
-    if Upscaling.name not in pipeline.stages:
-        return story
-    said = "Upscaling: seen through the history of the rendered frame."
-    if values[names.DISOCCLUDED][0]:
-        said = "Upscaling: no history here, its own color is shown."
-    return replace(story, sentences=(*story.sentences, said))
 
 
 def _with_sharpness(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:

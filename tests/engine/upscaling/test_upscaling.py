@@ -7,13 +7,36 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from synthetic import Rect, Rects, camera
-from upscaling_frames import JITTER, STILL, H, W, color_of, frames, path, pipeline_for
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.window import Jitter, without_jitter
+from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
+
+W, H = 96, 64
+JITTER, SHOWN = Jitter(16), camera(W, H)
+WALL = Rect((0, 0, 12), (9, 6), frequency=0.7)
+STILL = Rects([WALL, Rect((0.9, 0.2, 6), (0.7, 1.5), frequency=1, tint=(0.7, 0.2, 0.1))])
+
+
+def pipeline_for(device, size=(W, H), render_size=(W // 2, H // 2)):
+    return Pipeline(device, *size, Options(upscale=2.0), render_size=render_size)
+
+
+def frames(scene, count):
+    """Jittered frames of a sample per pixel."""
+    before = None
+    for k in range(count):
+        render = JITTER.camera(SHOWN.scaled(0.5, 0.5), k)
+        frame = scene.frame(render, k / 30, W // 2, H // 2, before, reset=before is None)
+        before = (render, k / 30)
+        yield replace(frame, display_camera=SHOWN)
+
+
+def color_of(pipeline):
+    return pipeline.present().numpy("color").astype(np.float32)
 
 
 def psnr(a, b):
@@ -40,7 +63,7 @@ def test_the_whole_still_scene_of_a_renderer_is_static(device):
     still = replace(scene, eye=lambda t: scene.eye(0.0), target=lambda t: scene.target(0.0))
     renderer = SceneRenderer(device, still, 60, 40, 1, 0.5)
     made = SceneFrames(renderer, size=(120, 80), jitter=JITTER)
-    pipeline = pipeline_for(device, (120, 80))
+    pipeline = pipeline_for(device, (120, 80), (60, 40))
     before = None
     for k in range(3):
         frame = made.rendered(0.0, None, k)  # the same moment again and again
@@ -55,13 +78,13 @@ def test_samples_gathered_over_time_beat_resampling(device):
     """A still camera, after all of the jitter: far above the bicubic picture of the last frame, and generated frames
     are as good."""
     pipeline, plain = pipeline_for(device), Pipeline(device, W, H, render_size=(W // 2, H // 2))
-    truth = STILL.color(path(0), 0, W, H, 6)
+    truth = STILL.color(SHOWN, 0, W, H, 6)
     for frame in frames(STILL, 20):
         pipeline.submit(frame)
         plain.submit(frame)
     rendered, resampled = psnr(color_of(pipeline), truth), psnr(color_of(plain), truth)
     assert rendered > resampled + 6
-    made = pipeline.extrapolate(path(0), 19.5 / 30)
+    made = pipeline.extrapolate(SHOWN, 19.5 / 30)
     assert psnr(made.numpy("color"), truth) > rendered - 0.1
 
 
@@ -74,7 +97,7 @@ def test_a_still_picture_does_not_shimmer(device):
             one.submit(frame)
             if k >= 12:
                 seen.append(color_of(one))
-                seen.append(one.extrapolate(path(k), (k + 0.5) / 30).numpy("color").astype(np.float32))
+                seen.append(one.extrapolate(SHOWN, (k + 0.5) / 30).numpy("color").astype(np.float32))
     assert np.var(without, 0).mean() > 4 * np.var(with_it, 0).mean()
 
 
@@ -91,7 +114,7 @@ def test_no_ghost_stays_behind_a_mover(device, speed, most):
             continue
         left = np.ones((H, W), bool)
         for back in range(4):  # where it is now, and was in the three frames before
-            left &= (np.abs(scene.color(path(k), (k - back) / 30, W, H, 2) - wall) < 1e-3).all(-1)
+            left &= (np.abs(scene.color(SHOWN, (k - back) / 30, W, H, 2) - wall) < 1e-3).all(-1)
         grown = ~left
         grown = np.any([np.roll(grown, s, a) for a in (0, 1) for s in (-2, -1, 1, 2)], 0) | grown
         assert np.abs(color_of(pipeline) - wall)[~grown].max() < most
@@ -105,7 +128,7 @@ def test_thin_bars_stay(device, width, least):
     half = width * 6 * 2 / focal / 2
     bars = [Rect((0.35 * k - 1.75, 0, 6), (half, 2), frequency=0, tint=(0.9,) * 3) for k in range(11)]
     scene = Rects([Rect((0, 0, 12), (20, 20), frequency=0, tint=(0.1,) * 3), *bars])
-    pipeline, truth = pipeline_for(device), scene.color(path(0), 0, W, H, 8)[..., 1]
+    pipeline, truth = pipeline_for(device), scene.color(SHOWN, 0, W, H, 8)[..., 1]
     row = truth[H // 2] - truth[H // 2].mean()
     worst = 1.0
     for k, frame in enumerate(frames(scene, 40)):

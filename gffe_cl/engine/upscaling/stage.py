@@ -14,7 +14,7 @@ from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGBA, XY, BufferSpec
 from gffe_cl.engine.stages.correction import ShadingCorrection
 
-LOCK_FRAMES = constants("upscaling.cl")["LOCK_FRAMES"]  # a greater lock is that of a thin feature
+_LOCK_FRAMES = constants("upscaling.cl")["LOCK_FRAMES"]  # a greater lock is that of a thin feature
 _YCOCG = ("Y", "Co", "Cg", "A")
 
 
@@ -124,6 +124,19 @@ class Upscaling(Stage):
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
         return options.upscale > 0
+
+    def told(self, values: Mapping[str, np.ndarray], is_rendered: bool) -> str:
+        if not is_rendered:
+            if values["frame.disoccluded"][0]:
+                return "Upscaling: no history here, its own color is shown."
+            return "Upscaling: seen through the history of the rendered frame."
+        weight, refused = float(values["upscaling.history"][3]), float(values["upscaling.rejected"][0]) / 255
+        lock = int(values["upscaling.lock"][0])
+        locked = f" At rest it was right for {lock} frames." if lock else ""
+        if lock > _LOCK_FRAMES:
+            locked = " A thin feature that samples miss at times is kept."
+        said = f"Rendered frame, gathered over time: {weight:.1f} samples; {refused:.0%} of the history was refused."
+        return said + locked
 
     def rendered(self, step: Step) -> None:
         """Add the rendered frame to the history."""
