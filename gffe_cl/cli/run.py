@@ -231,7 +231,7 @@ def open_source(
     window: str | None,
     device: str | Device | None,
     live: dict[str, Any],
-    upscale: float = 0.0,
+    scale: float = 0.0,
 ) -> tuple[Device, Recorded | Live]:
     """Open a folder as a sequence, and return device and source; `device`: its name, or an open one. Other names may be
     built-in scenes, rendered as `live` describes."""
@@ -248,14 +248,14 @@ def open_source(
         size = parse_size("960x540" if size is None else size)
         scene, chosen = load_scene(str(sequence), 0 if seed is None else seed), opened()
         frames, fps = 30 if frames is None else frames, 30.0 if fps is None else fps
-        return chosen, Live(scene, chosen, *size, frames, fps, window or "off", upscale)
+        return chosen, Live(scene, chosen, *size, frames, fps, window or "off", scale)
     given = [option for option, value in live.items() if value is not None]
     if given:
         raise GffeError(f"{given[0]} is for built-in scenes ({scene_names()}), {sequence} is none")
     if not sequence.exists() and sequence.name == str(sequence):
         raise GffeError(f"{sequence}: no such folder, and no built-in scene (there is: {scene_names()})")
     recorded, chosen = open_capture(sequence), opened()
-    return chosen, Recorded(recorded, chosen, window, upscale)
+    return chosen, Recorded(recorded, chosen, window, scale)
 
 
 def _print_report(report: RunReport, output: Path) -> None:

@@ -27,15 +27,15 @@ def is_sequence(subject: str | None) -> bool:
 
 
 def loop_of(
-    device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None, upscale: float = 0.0
+    device: Device, subject: str | None, size: tuple[int, int] | None, number: int | None = None, scale: float = 0.0
 ) -> FrameLoop:
     """Return the loop of the built-in scene of that name (None: `SCENE`), else of the sequence in that folder; `size`
-    None: the sequence's own. With `upscale` rendered frames are so many times smaller than `size`; None: the display is
+    None: the sequence's own. With `scale` rendered frames are so many times smaller than `size`; None: the display is
     larger than the sequence."""
-    if upscale:
-        smaller = None if size is None else (max(1, round(size[0] / upscale)), max(1, round(size[1] / upscale)))
+    if scale:
+        smaller = None if size is None else (max(1, round(size[0] / scale)), max(1, round(size[1] / scale)))
         loop = loop_of(device, subject, smaller, number)
-        return loop.shown_larger(*(size or (round(n * upscale) for n in (loop.width, loop.height))))
+        return loop.shown_larger(*(size or (round(n * scale) for n in (loop.width, loop.height))))
     if is_sequence(subject):
         return sequence_loop(Recorded(open_capture(str(subject)), device, "off"), size, number)
     assert size is not None  # of scenes it is always given

@@ -73,7 +73,7 @@ class Clip(FrameSource):
         self.reset, self.back = reset, back
         self.gate.set()
 
-    def configure(self, window, n, upscale=0.0):
+    def configure(self, window, n, scale=0.0):
         return False
 
     def rendered(self, k):

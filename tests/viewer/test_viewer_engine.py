@@ -541,7 +541,7 @@ def test_a_scene_is_rendered_as_a_run_renders_it(device, kept):
 
 def test_a_scene_is_rendered_for_upscaling_as_a_run_renders_it(device):
     """Smaller and jittered; without upscaling as before."""
-    given = [frame for _, frame in Live(load_scene("plaza"), device, *SMALL, 3, 30.0, upscale=2.0).frames([0.5], False)]
+    given = [frame for _, frame in Live(load_scene("plaza"), device, *SMALL, 3, 30.0, scale=2.0).frames([0.5], False)]
     layers = ("rendered.color", "rendered.motion", "truth")
     with running(device, scene_source) as engine:
         whole = ask(engine, 5, Setup(), layers)

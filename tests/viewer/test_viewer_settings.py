@@ -32,7 +32,7 @@ def parsed(line: str, monkeypatch) -> dict:
 
     found = {}
 
-    def stand_in(target, window, device, live, upscale=0.0):
+    def stand_in(target, window, device, live, scale=0.0):
         found.update(target=target, window=window, live=live)
         return None, SimpleNamespace(count=1)
 

@@ -28,6 +28,7 @@ from gffe_cl.engine.opencl.program import kernel_digest
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.engine.stages.base import pictures_of
 
 _MOST_ALPHA = 100
 _MOTION_STEPS = np.float32(1024)  # per pixel, of motion in files
@@ -125,7 +126,7 @@ def run_sequence(
             if pipeline.is_cut:
                 report.cuts.append(entry.file)
                 entry = replace(entry, reset=True)
-            if options.upscale:
+            if "rendered" in pictures_of(pipeline.stages.values()):
                 writer.add(*shown_frame(entry, pipeline.present(), frame.color.dtype), owned=True)
             else:
                 source.store(writer, entry, frame)
@@ -196,7 +197,7 @@ def _is_complete(output: Path, settings: str | None) -> bool:
 
 
 def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:
-    """Return entry and channels of an upscaled rendered frame: as displayed, with motion between displayed images."""
+    """Return entry and channels of a rendered frame as displayed, with motion between displayed images."""
     plain = FrameEntry(entry.file, entry.time, reset=entry.reset, render_camera=shown.camera)
     dtype = np.float32 if color_dtype == np.float32 else np.float16
     color = shown.numpy("color").astype(dtype, copy=False)

@@ -110,7 +110,7 @@ class Source(Protocol):
 
 class Recorded(Source):
     """Source from a sequence on disk. A frame with overscan (its render camera is wider than its display camera) counts
-    as rendered through a window. With `window` "off" only its display part is used, resampled on `device`. `upscale` is
+    as rendered through a window. With `window` "off" only its display part is used, resampled on `device`. `scale` is
     the factor from rendered to displayed size. Without a display camera, a principal point within a pixel of the center
     is then taken for jitter. `windowed`: whether a window, or another size than the display's, makes such parts differ.
 
@@ -119,14 +119,14 @@ class Recorded(Source):
 
     _cut = False  # whether only display parts are used
 
-    def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, upscale: float = 0.0):
-        self.name, self._device, self._upscale = printable(sequence.path.resolve().name), device, upscale
+    def __init__(self, sequence: Sequence, device: Device | None, window: str | None = None, scale: float = 0.0):
+        self.name, self._device, self._scale = printable(sequence.path.resolve().name), device, scale
         self.width, self.height, self.fps = sequence.width, sequence.height, sequence.fps
         self.exposure = sequence.exposure
         self._window = window
         self._take(sequence)
-        if upscale:
-            self._enlarge(self.render_size, upscale)
+        if scale:
+            self._enlarge(self.render_size, scale)
 
     def _take(self, sequence: Sequence) -> None:
         """Take the frames of `sequence`, which may be longer than before."""
@@ -151,28 +151,28 @@ class Recorded(Source):
         before, self._window, self._cut = self._cut, window, window == "off" and self.windowed
         self.render_size = (self.width, self.height) if self._cut else self._stored
         is_own = self.sequence.exr_file(self.entries[0]) is not None  # frames are linked, else written as converted
-        self.format = self.sequence.format if is_own and not self._cut and not self._upscale else None
+        self.format = self.sequence.format if is_own and not self._cut and not self._scale else None
         return self._cut != before
 
-    def _enlarge(self, stored: tuple[int, int], upscale: float) -> None:
-        """Enlarge the display by `upscale` if it has the size of the rendered frames. Otherwise raise GffeError unless
+    def _enlarge(self, stored: tuple[int, int], scale: float) -> None:
+        """Enlarge the display by `scale` if it has the size of the rendered frames. Otherwise raise GffeError unless
         it is so many times larger already."""
         sequence, recorded = self.sequence, (self.sequence.width, self.sequence.height)
         if self._cut:
-            raise GffeError(f"--upscale {upscale:g} and --window off exclude each other for {sequence.path}")
+            raise GffeError(f"--upscale {scale:g} and --window off exclude each other for {sequence.path}")
         if stored == recorded:
-            self.width, self.height = (round(n * upscale) for n in recorded)
-        elif any(abs(n / upscale - r) > 1 for n, r in zip(recorded, stored, strict=True)):
+            self.width, self.height = (round(n * scale) for n in recorded)
+        elif any(abs(n / scale - r) > 1 for n, r in zip(recorded, stored, strict=True)):
             raise GffeError(
                 f"{sequence.path}: frames of {stored[0]}×{stored[1]} for a display of {recorded[0]}×{recorded[1]}"
-                f" (expected --upscale {recorded[0] / stored[0]:.3g}, got {upscale:g})"
+                f" (expected --upscale {recorded[0] / stored[0]:.3g}, got {scale:g})"
             )
 
     def _shown(self, camera: Camera) -> Camera:
         """Return a display camera of the sequence, in pixels of displayed frames."""
         return camera.scaled(self.width / self.sequence.width, self.height / self.sequence.height)
 
-    def _upscaled(self, frame: RenderedFrame) -> RenderedFrame:
+    def _as_shown(self, frame: RenderedFrame) -> RenderedFrame:
         """Return the frame with a display camera of the displayed size."""
         size = self.sequence.width, self.sequence.height
         told = frame.shown_camera
@@ -183,7 +183,7 @@ class Recorded(Source):
     def _read(self, k: int) -> RenderedFrame:
         """Return frame `k` as it was rendered."""
         frame = self.sequence.read(self.entries[k])
-        return self._upscaled(frame) if self._upscale else frame
+        return self._as_shown(frame) if self._scale else frame
 
     def _display_part(self, k: int, frame: RenderedFrame) -> RenderedFrame:
         """Return the display part of frame `k`; its bad pixels are those of the whole frame."""
@@ -225,7 +225,7 @@ class Recorded(Source):
         found = [self.sequence.camera_at(time) for time in times]
         cameras = [camera for camera in found if camera is not None]
         if len(cameras) == len(times):
-            return [self._shown(camera) for camera in cameras] if self._upscale else cameras
+            return [self._shown(camera) for camera in cameras] if self._scale else cameras
         for time in times:
             self._missed = self._missed or self.sequence.near_miss("ground_truth", time) or ""
         return None
@@ -243,13 +243,13 @@ class Recorded(Source):
     def identity(self):
         folder = self.sequence.path
         files = [(str(path.relative_to(folder)), path.stat()) for path in sorted(folder.rglob("*")) if path.is_file()]
-        return [self._window, self._upscale, [(name, stat.st_size, stat.st_mtime_ns) for name, stat in files]]
+        return [self._window, self._scale, [(name, stat.st_size, stat.st_mtime_ns) for name, stat in files]]
 
 
 class Live(Source):
     """Source of `count` frames of a built-in scene, rendered through `window` ("adaptive", "fixed:FACTOR" or "off").
 
-    With `upscale` the frames are so many times smaller than the display, and jittered.
+    With `scale` the frames are so many times smaller than the display, and jittered.
     """
 
     def __init__(
@@ -261,32 +261,32 @@ class Live(Source):
         count: int,
         fps: float,
         window: str = "off",
-        upscale: float = 0.0,
+        scale: float = 0.0,
     ):
         require_frames(count, fps)
         self.scene, self.name, self.exposure, self._device = scene, scene.name, scene.exposure, device
         self.width, self.height, self.count, self.fps = width, height, count, fps
         self._way: Any = None  # the arguments of `choose` that frames depend on, a tuple
-        self.choose(window, [], upscale)
+        self.choose(window, [], scale)
 
-    def choose(self, window: str, alphas: list[float], upscale: float = 0.0) -> bool:
-        """Render through `window`, for new frames at `alphas`, and for upscaling by `upscale` from now on. Return
-        whether the frames change by that."""
-        way = (window, upscale, *(alphas if window == "adaptive" else ()))
+    def choose(self, window: str, alphas: list[float], scale: float = 0.0) -> bool:
+        """Render through `window`, for new frames at `alphas`, and at `scale` from now on. Return whether the frames
+        change by that."""
+        way = (window, scale, *(alphas if window == "adaptive" else ()))
         if way == self._way:
             return False
         WindowChooser(window, (self.width, self.height), alphas)
-        if self._way is None or upscale != self._way[1]:
-            self._frames = self._frames_for(upscale)
+        if self._way is None or scale != self._way[1]:
+            self._frames = self._frames_for(scale)
             self.render_size = self._frames.render_size
         self._way, self._alphas = way, alphas
         self.restart()
         return True
 
-    def _frames_for(self, upscale: float) -> SceneFrames:
+    def _frames_for(self, scale: float) -> SceneFrames:
         size = self.width, self.height
-        if upscale:
-            return SceneFrames.for_upscaling(self._device, self.scene, size, upscale)
+        if scale:
+            return SceneFrames.smaller(self._device, self.scene, size, scale)
         return SceneFrames(SceneRenderer(self._device, self.scene, *size))
 
     def restart(self) -> None:

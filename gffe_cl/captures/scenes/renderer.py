@@ -291,7 +291,7 @@ class SceneRenderer:
     samples : int
         Samples per pixel at edges and on mirrors; where a pixel's surroundings are one surface, a few do.
     footprint : float
-        Pixels over which textures are filtered: below 1 for frames that will be upscaled (engines: mip bias).
+        Pixels over which textures are filtered: below 1 for frames smaller than the display (engines: mip bias).
     """
 
     def __init__(self, device: Device, scene: Scene, width: int, height: int, samples: int = 8, footprint: float = 1.0):

@@ -60,21 +60,21 @@ class SceneFrames:
         self._truths = truths or renderer
 
     @classmethod
-    def for_upscaling(
+    def smaller(
         cls,
         device: Device,
         scene: Scene,
         size: tuple[int, int],
-        upscale: float,
+        scale: float,
         samples: int = 1,
         jitter: Jitter | None = None,
         windows: WindowChooser | None = None,
         truths: SceneRenderer | None = None,
     ) -> SceneFrames:
-        """Return frames of `scene` for upscaling to a display of `size`: `upscale` times smaller each way, with
-        `samples` per pixel, textures as fine as the display, and jitter (None: that of built-in scenes)."""
-        width, height = (max(round(n / upscale), 1) for n in size)
-        renderer = SceneRenderer(device, scene, width, height, samples, 1 / upscale)
+        """Return frames of `scene` for a display of `size`: `scale` times smaller each way, with `samples` per pixel,
+        textures as fine as the display, and jitter (None: that of built-in scenes)."""
+        width, height = (max(round(n / scale), 1) for n in size)
+        renderer = SceneRenderer(device, scene, width, height, samples, 1 / scale)
         return cls(renderer, windows, size, jitter or Jitter(JITTER_LENGTH), truths)
 
     def display_camera(self, time: float) -> Camera:
@@ -141,7 +141,7 @@ class EncodedFrames:
             full = SceneRenderer(device, frames.scene, *frames.size, samples=1)
             self._samples = _JitteredSamples(SceneFrames(full, jitter=jitter))
         if HALF in encoding.parts:
-            self._small = _JitteredSamples(SceneFrames.for_upscaling(device, frames.scene, frames.size, 2.0))
+            self._small = _JitteredSamples(SceneFrames.smaller(device, frames.scene, frames.size, 2.0))
 
     def encoded(self, frame: RenderedFrame, before: RenderedFrame | None, number: int) -> RenderedFrame:
         """Return `frame`, number `number`, after being stored; `before`: the one before it, None after a reset. Where
@@ -272,7 +272,7 @@ class _Job:
         is_apart = self.ground_truth and (self.scale > 1 or self.jitter.length > 1)
         truths = SceneRenderer(device, self.scene, *self.size, 8) if is_apart else None
         windows = WindowChooser(self.window, self.size, self.alphas)
-        return SceneFrames.for_upscaling(
+        return SceneFrames.smaller(
             device, self.scene, self.size, self.scale, self.samples, self.jitter, windows, truths
         )
 

@@ -179,10 +179,10 @@ def test_runtimes_agree():
     assert np.quantile(difference, 0.98) < 0.01
 
 
-@pytest.mark.parametrize("upscale", [0.0, 2.0])
-def test_frames_of_a_scene_by_number(device, upscale):
+@pytest.mark.parametrize("scale", [0.0, 2.0])
+def test_frames_of_a_scene_by_number(device, scale):
     """As in order, if the one before was asked for last; otherwise resets."""
-    live = Live(load_scene("plaza"), device, 32, 20, 4, 30.0, "adaptive", upscale)
+    live = Live(load_scene("plaza"), device, 32, 20, 4, 30.0, "adaptive", scale)
     in_order = [frame for _, frame in live.frames([0.5], strict=False)]
     live.restart()
     for k, frame in enumerate(in_order):

@@ -88,15 +88,15 @@ class SceneSource(Live, FrameSource):
         self._ring_size = max(_LEAST_RING, self._most // (sum(BYTES_PER_PIXEL) * math.prod(self.render_size)))
         self.held = min(REMEMBERED, self._ring_size - 1)
 
-    def configure(self, window, n, upscale=0.0):
+    def configure(self, window, n, scale=0.0):
         size = self.render_size
-        changed = self.choose(window or "off", alphas_for(n), upscale)
+        changed = self.choose(window or "off", alphas_for(n), scale)
         if self.render_size != size:
             self._empty_ring()
         return changed
 
-    def _frames_for(self, upscale):
-        return super()._frames_for(upscale) if upscale else SceneFrames(self._whole)
+    def _frames_for(self, scale):
+        return super()._frames_for(scale) if scale else SceneFrames(self._whole)
 
     def restart(self):
         super().restart()

@@ -149,7 +149,7 @@ class RecordedSource(Recorded, FrameSource):
         self._take(sequence)
         return True
 
-    def configure(self, window, n, upscale=0.0):
+    def configure(self, window, n, scale=0.0):
         self._alphas = alphas_for(n)
         return self.choose(window)
 

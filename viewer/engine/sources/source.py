@@ -46,10 +46,10 @@ class FrameSource(Source, Protocol):
         position. Files are shared; `fly` and `close` affect this one only."""
         return copy.copy(self)
 
-    def configure(self, window: str | None, n: int, upscale: float = 0.0) -> bool:
-        """Use rendering window `window` for `n` generated frames per rendered one, and render for upscaling by
-        `upscale` where frames are rendered meanwhile. Returns whether rendered frames change by that. Raises GffeError
-        for a window that this source does not have."""
+    def configure(self, window: str | None, n: int, scale: float = 0.0) -> bool:
+        """Use rendering window `window` for `n` generated frames per rendered one, and `scale` where frames are
+        rendered meanwhile. Returns whether rendered frames change by that. Raises GffeError for a window that this
+        source does not have."""
         ...
 
     def restart(self) -> None:
