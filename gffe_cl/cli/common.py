@@ -357,7 +357,7 @@ def _help(option: Option) -> str:
     elif option.choices:
         values = ", ".join(option.choices)
     elif option.kind in (int, float) and not option.automatic:
-        values = f"{option.low:g} to {option.high:g}"
+        values = option.expected.partition(", ")[2]
     default = ""
     if option.kind in (bool, str) and option.automatic:
         default = f" [dim](default: {option.automatic.removeprefix('auto: ')})[/]"

@@ -35,7 +35,7 @@ class Option:
     label : short, for panels and menus
     sentence : for help and tooltips
     kind : bool, int, float or str
-    low, high : range of a number, both included; `usual_high` is where sliders end
+    low, high : range of a number, both included, beside `off`; `usual_high` is where sliders end
     unit : of a number
     choices : of a string, with a sentence each; empty if any will do
     automatic : the meaning of None ("auto": found out from the data), where None is allowed
@@ -90,10 +90,11 @@ class Option:
         given = value
         value = os.fspath(value) if isinstance(value, os.PathLike) else scalar(value)
         whole = isinstance(value, int) and not isinstance(value, bool)
+        within = is_number(value) and (value == self.off or self.low <= value <= self.high)
         right = {
             bool: isinstance(value, bool),
-            int: whole and self.low <= value <= self.high,
-            float: is_number(value) and self.low <= value <= self.high,
+            int: whole and within,
+            float: within,
             str: isinstance(value, str) and (not self.choices or value in self.choices),
         }
         if not right[self.kind]:
@@ -112,7 +113,8 @@ class Option:
             return "a text" + either
         what = "a whole number" if self.kind is int else "a number"
         unit = f" of {self.unit}" if self.unit else ""
-        bounds = f"{self.low:g} to {self.high:g}" if math.isfinite(self.high) else f"≥ {self.low:g}"
+        off = "" if self.off is None or self.off >= self.low else f"{self.off:g} or "
+        bounds = f"{off}{self.low:g} to {self.high:g}" if math.isfinite(self.high) else f"≥ {self.low:g}"
         return f"{what}{unit}, {bounds}{either}"
 
 
@@ -318,7 +320,7 @@ class Options:
         "upscaling",
         "Upscaling factor, display pixels per rendered pixel, each way: jittered frames are accumulated. 1:"
         " anti-aliasing only; 0: off.",
-        low=0.0,
+        low=1.0,
         high=3.0,
         off=0.0,
         flag="--upscale",
@@ -389,10 +391,6 @@ class Options:
     def __post_init__(self):
         for name, option in OPTIONS.items():
             object.__setattr__(self, name, option.checked(getattr(self, name)))
-        if 0 < self.upscale < 1:
-            raise GffeError(
-                f"options: upscaling must be 0 (off) or 1 to {OPTIONS['upscale'].high:g}, got {self.upscale:g}"
-            )
         if self.order >= self.history:
             raise GffeError(f"options: order must be 1 to history − 1 = {self.history - 1}, got {self.order}")
 

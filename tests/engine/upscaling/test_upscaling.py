@@ -232,7 +232,7 @@ def test_run_writes_a_sequence_of_the_display(gffe, recorded, tmp_path):
     [
         (("--upscale", "2"), "frames of 61×41 for a display of 91×61 (expected --upscale 1.49, got 2)"),
         (("--upscale", "1.5", "--window", "off"), "--upscale 1.5 and --window off exclude each other"),
-        (("--upscale", "0.5"), "upscaling must be 0 (off) or 1 to 3, got 0.5"),
+        (("--upscale", "0.5"), "--upscale must be a number, 0 or 1 to 3, got '0.5'"),
         (("--upscale", "9"), "--upscale must be"),
     ],
 )
