@@ -1,4 +1,4 @@
-/* LANES texels of half images at once, wherever they lie, and cubic interpolation at LANES places (upscaling.cl). */
+/* LANES texels of half images at once, wherever they lie, and cubic interpolation at LANES places. */
 
 #include "cubic.h"
 

@@ -140,7 +140,7 @@ class Intake:
         board = self._board
         assert board is not None  # `begin` was called
         zero_copy = zero_copy is not False and require_bool(zero_copy, "submit: zero_copy")
-        display_camera = self._display_camera(frame, "rendered" in pictures_of(board.stages.values()))
+        display_camera = self._display_camera(frame, board)
         geometry = self.sizes.source
         if format is not None or frame.geometry_size is not None:
             geometry = require_render_size(format, self.sizes.source, frame.geometry_size)
@@ -173,11 +173,11 @@ class Intake:
             taken.whole = shown
         return taken
 
-    def _display_camera(self, frame: RenderedFrame, jittered: bool) -> Camera:
-        """Return the display camera, in pixels of the display. If frames are `jittered`, one that is not given is the
+    def _display_camera(self, frame: RenderedFrame, board: Board) -> Camera:
+        """Return the display camera, in pixels of the display. If frames may be jittered, one that is not given is the
         rendered one without jitter."""
         plain = frame
-        if jittered and frame.display_camera is None:
+        if frame.display_camera is None and "rendered" in pictures_of(board.stages.values()):
             plain = replace(frame, camera=without_jitter(frame.camera, self.sizes.source))
         display_camera = display_camera_of(plain, self.sizes.source, self.sizes.target)
         require_one_pose(frame.camera, display_camera)
