@@ -44,7 +44,7 @@ def wheel(tmp_path_factory):
 
 
 def test_wheel_holds_the_package_and_nothing_else(wheel):
-    """Stylesheets, scripts, kernels and weights included; tests, hidden files, backups and links to folders out."""
+    """Kernels, shaders and weights included; tests, hidden files, backups and links to folders out."""
     there = {
         f"{inside}/{path.relative_to(ROOT / name).as_posix()}"
         for name, inside in PARTS.items()
@@ -57,7 +57,7 @@ def test_wheel_holds_the_package_and_nothing_else(wheel):
     assert not re.findall(r"\]\((?!https?:|#)", about) and "/raw/main/docs/pictures/demo.webp" in about
     held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == there
-    assert {".css", ".js", ".cl", ".h", ".c", ".onnx", ".frag", ".vert", ".bin"} <= {Path(name).suffix for name in held}
+    assert {".cl", ".h", ".c", ".onnx", ".frag", ".vert", ".bin"} <= {Path(name).suffix for name in held}
 
 
 LAB = ("-r", ROOT / "pyproject.toml", "--extra", "lab", "--extra", "video")
