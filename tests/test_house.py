@@ -106,15 +106,15 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 39_287,
-    "viewer": 12_679,
-    "kernels": 10_189,
-    "tests": 32_869,
-    "docs/tools": 3_629,
+    "gffe_cl": 38_971,
+    "viewer": 12_289,
+    "kernels": 10_185,
+    "tests": 29_377,
+    "docs/tools": 3_621,
     "docs/examples": 1_822,
-    "docs/*.md": 4_444,
+    "docs/*.md": 4_439,
 }
-MOST_MODULES = 241
+MOST_MODULES = 226
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
 
 
