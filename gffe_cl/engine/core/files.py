@@ -234,7 +234,7 @@ def require_output_file(path: Path, option: str, overwrite: bool = False, media:
         raise GffeError(f"{option} {path}: must be a file in a folder that exists")
     if not os.access(folder if path.is_file() or not path.exists() else path, os.W_OK):
         raise GffeError(f"{option} {path}: cannot be written to (expected a folder with permission)")
-    if path.name == "sequence.json" or path.suffix.lower() == ".exr" or _is_exr(path):
+    if path.name == "sequence.json" or path.suffix.lower() == ".exr" or _beginning(path).startswith(_EXR_MAGIC):
         raise GffeError(f"{option} {path}: is a file of a sequence (expected another file)")
     if not overwrite and path.is_file() and not os.path.abspath(path).startswith("/dev/"):
         head = _beginning(path)
@@ -250,10 +250,6 @@ def _beginning(path: Path) -> bytes:
     with suppress(OSError), open_regular(path) as file:
         return file.read(1 << 16)
     return b""
-
-
-def _is_exr(path: Path) -> bool:
-    return _beginning(path).startswith(_EXR_MAGIC)
 
 
 def require_moderate(nbytes: int, pixels: int, label: str) -> None:

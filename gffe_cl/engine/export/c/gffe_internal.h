@@ -251,7 +251,7 @@ void gffe_hold(cl_mem *place, cl_mem buffer); /* retains it, and releases what w
 gffe_status gffe_take_overlays(gffe *g);
 gffe_status gffe_compose(gffe *g, int occasion, gffe_frame *made);
 
-/* gffe.c */
+/* gffe_errors.c */
 /* Returns GFFE_INVALID unless `g` was created without error and `argument`, of that name, is not NULL. */
 gffe_status gffe_need(gffe *g, const void *argument, const char *name);
 /* Return GFFE_INVALID unless the value of that name is a number below GFFE_LARGEST, from `low` to `high`. */
