@@ -48,19 +48,6 @@ static size_t texel_bytes(const gffe_format *format, int buffer) {
     return gffe_type_bytes[format->motion_type] * (size_t)format->motion_channels;
 }
 
-/* Computes width and height of depth and motion. */
-static void geometry_of(const gffe_format *format, const int source[2], int size[2]) {
-    size[0] = format->geometry_width ? format->geometry_width : source[0];
-    size[1] = format->geometry_height ? format->geometry_height : source[1];
-}
-
-/* Returns whether geometry is smaller than color. */
-static int is_small(const gffe_step *step) {
-    int size[2];
-    geometry_of(&step->format, step->source, size);
-    return size[0] != step->source[0] || size[1] != step->source[1];
-}
-
 static gffe_status check_field(gffe *g, const gffe_format *format, const gffe_field *field) {
     const double value = value_of(format, field);
     char name[64];
@@ -116,72 +103,6 @@ static gffe_status check_format(gffe *g, const gffe_format *format) {
     return GFFE_OK;
 }
 
-/* Rounds a value to the numbers that a type holds, to even. */
-static double stored(double value, int type) {
-    const double most = gffe_type_most[type];
-    int exponent;
-    double unit;
-    if (type == GFFE_FLOAT32) return (double)(float)value;
-    if (type != GFFE_FLOAT16) return rint(value * most);
-    frexp(value, &exponent);
-    unit = ldexp(1, exponent - 11 > -24 ? exponent - 11 : -24);
-    value = rint(value / unit) * unit;
-    return fabs(value) > 65504 ? copysign(INFINITY, value) : value;
-}
-
-void gffe_fill_given(const gffe_step *step, gffe_frame_block *block) {
-    const gffe_format *format = &step->format;
-    const double most = step->has_motion ? gffe_type_most[format->motion_type] : 1;
-    const double sign = format->motion_from_previous ? -1 : 1;
-    const int swapped = format->near_z > format->far_z;
-    const double farthest = swapped ? format->near_z : format->far_z,
-                 nearest = swapped ? format->far_z : format->near_z;
-    const double far_value = format->depth_range[!swapped], near_value = format->depth_range[swapped];
-    const double depth_most = gffe_type_most[format->depth_type];
-    int k, geometry[2];
-    geometry_of(format, step->source, geometry);
-    block->geometry_width = geometry[0];
-    block->geometry_height = geometry[1];
-    for (k = 0; k < 2; ++k) {
-        const double side = step->source[k], scale = side / geometry[k];
-        const double shift = is_small(step) ? step->jitter[k] : 0;
-        const double units[] = {scale, side, side / 2, 1}; /* GFFE_PIXELS, GFFE_UV ... */
-        const double unit = units[format->motion_unit];
-        const double factor = sign * unit * (k && format->motion_y_up ? -1 : 1);
-        const double jitter = format->motion_jittered ? step->jitter[k] - step->previous_jitter[k] : 0;
-        block->given_motion.s[k] = (float)(factor * format->motion_scale[k] / most);
-        block->given_motion.s[2 + k] = (float)(factor * format->motion_offset[k] + jitter);
-        block->to_geometry.s[k] = (float)(1 / scale);
-        block->to_geometry.s[2 + k] = (float)(shift / scale);
-        block->from_geometry.s[k] = (float)scale;
-        block->from_geometry.s[2 + k] = (float)-shift;
-    }
-    if (format->depth == GFFE_DEVICE) {
-        const double factor = (1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most;
-        block->given_depth = gffe_floats(factor, far_value * depth_most, 1 / farthest, far_value * depth_most);
-    } else if (format->depth == GFFE_LOGARITHMIC) {
-        const double above = nearest > 0 ? 0 : 1;
-        const double factor = log((farthest + above) / (nearest + above)) / (far_value - near_value) / depth_most;
-        block->given_depth = gffe_floats(factor, near_value * depth_most, nearest, far_value * depth_most);
-    } else {
-        const double factor = (farthest - nearest) / (far_value - near_value) / depth_most, scale = format->depth_scale;
-        block->given_depth = gffe_floats(factor * scale, near_value * depth_most, nearest * scale, NAN);
-    }
-    block->motion_invalid = NAN;
-    if (step->has_motion && !isnan(format->motion_invalid))
-        block->motion_invalid = (float)stored(format->motion_invalid, format->motion_type);
-    block->given_types.s[GFFE_COLOR] = format->color_type;
-    block->given_types.s[GFFE_DEPTH] = format->depth_type;
-    block->given_types.s[GFFE_MOTION] = step->has_motion ? format->motion_type : 0;
-    block->given_types.s[3] = format->camera_motion;
-    block->given_channels.s[0] = format->color_channels;
-    block->given_channels.s[1] = format->motion_channels;
-    block->depth_law = format->depth;
-    block->rows_up = format->rows_up != 0;
-    block->color_srgb = format->color_srgb != 0;
-    block->has_previous = step->converts_after;
-}
-
 /* ---- conversion ---------------------------------------------------------------------------------------- */
 
 static const char *const NAMES[GFFE_BUFFERS] = {"color", "depth", "motion"};
@@ -191,7 +112,7 @@ gffe_status gffe_set_format(gffe *g, const gffe_format *format) {
     int size[2], k;
     if (!status && format) status = check_format(g, format);
     if (status) return status;
-    if (format) geometry_of(format, g->step.source, size);
+    if (format) gffe_geometry_of(format, g->step.source, size);
     for (k = 0; k < 2 && format; ++k)
         if (size[k] < g->step.source[k] / GFFE_MOST_RATIO || size[k] > g->step.source[k])
             return gffe_fail(g, GFFE_INVALID,
@@ -217,7 +138,7 @@ gffe_status gffe_set_geometry_jitter(gffe *g, double x, double y) {
 gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]) {
     const gffe_step *step = &g->step;
     int k, geometry[2];
-    geometry_of(&step->format, step->source, geometry);
+    gffe_geometry_of(&step->format, step->source, geometry);
     for (k = 0; k < GFFE_BUFFERS; ++k) {
         const size_t texel = texel_bytes(&step->format, k);
         gffe_status status;
@@ -241,7 +162,7 @@ static gffe_status need_converted(gffe *g) {
 
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]) {
     const int color = !are_ours(&g->step.format, GFFE_OF_COLOR),
-              geometry = is_small(&g->step) || !are_ours(&g->step.format, GFFE_OF_GEOMETRY);
+              geometry = gffe_is_small(&g->step) || !are_ours(&g->step.format, GFFE_OF_GEOMETRY);
     gffe_status status;
     int k;
     g->converts[0] = color;
@@ -261,7 +182,7 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
     int k, geometry[2] = {step->source[0], step->source[1]};
     step->has_motion = given[GFFE_MOTION] != NULL;
     step->converts_after = has_previous;
-    if (g->has_format) geometry_of(&step->format, step->source, geometry);
+    if (g->has_format) gffe_geometry_of(&step->format, step->source, geometry);
     for (k = 0; k < 2; ++k) {
         const double jitter = g->jitter[k] * ((double)step->source[k] / geometry[k]);
         step->previous_jitter[k] = has_previous ? step->jitter[k] : jitter;
@@ -273,7 +194,7 @@ gffe_status gffe_convert(gffe *g, const cl_mem given[3], int has_previous) {
     step->converts = 1;
     if (g->converts[0]) status = gffe_run(g, GFFE_CONVERT_COLOR);
     if (!status && g->converts[1])
-        status = gffe_run(g, GFFE_CONVERT_GEOMETRY + is_small(step) + 2 * (step->format.motion_dilated != 0));
+        status = gffe_run(g, GFFE_CONVERT_GEOMETRY + gffe_is_small(step) + 2 * (step->format.motion_dilated != 0));
     step->converts = 0;
     for (k = 0; k < GFFE_BUFFERS; ++k) g->memory[GFFE_ENGINE_COLOR + 2 * k] = NULL;
     return status;

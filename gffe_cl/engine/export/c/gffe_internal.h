@@ -224,6 +224,8 @@ void gffe_grid_size(const gffe_step *step, int number, size_t size[2]);
 size_t gffe_aligned(const gffe_step *step, size_t n);
 size_t gffe_level_start(const gffe_step *step, int level);
 size_t gffe_buffer_bytes(const gffe_step *step, const gffe_buffer *buffer); /* 0: images of these sizes have none */
+void gffe_geometry_of(const gffe_format *format, const int source[2], int size[2]);
+int gffe_is_small(const gffe_step *step);
 /* Returns whether blocks at rest stay where they are for the new camera (`Pipeline._rest_of`). */
 int gffe_stays(const gffe_step *step);
 /* Fills the block of the rendered frame or, if `is_new`, of the new one. */
@@ -237,9 +239,6 @@ int gffe_reference(const gffe *g, const char *name); /* -1: there is none */
 void gffe_swap(gffe *g, int overlays); /* 0 or GFFE_OF_OVERLAYS: those buffers */
 
 /* gffe_format.c */
-/* Fills the part of a converted frame's block that describes the given buffers. */
-void gffe_fill_given(const gffe_step *step, gffe_frame_block *block);
-
 gffe_status gffe_check_formatted(gffe *g, const cl_mem buffers[3]);
 /* Gives the buffers of the frame for the stages, converted ones where that is needed. */
 gffe_status gffe_prepare_formatted(gffe *g, const cl_mem given[3], cl_mem frame[3]);

@@ -106,6 +106,85 @@ int gffe_stays(const gffe_step *step) {
            && gffe_see_alike(&step->cameras[GFFE_FRAME], &step->cameras[GFFE_TARGET_CAMERA]);
 }
 
+/* Computes width and height of depth and motion. */
+void gffe_geometry_of(const gffe_format *format, const int source[2], int size[2]) {
+    size[0] = format->geometry_width ? format->geometry_width : source[0];
+    size[1] = format->geometry_height ? format->geometry_height : source[1];
+}
+
+/* Returns whether geometry is smaller than color. */
+int gffe_is_small(const gffe_step *step) {
+    int size[2];
+    gffe_geometry_of(&step->format, step->source, size);
+    return size[0] != step->source[0] || size[1] != step->source[1];
+}
+
+/* Rounds a value to the numbers that a type holds, to even. */
+static double stored(double value, int type) {
+    const double most = gffe_type_most[type];
+    int exponent;
+    double unit;
+    if (type == GFFE_FLOAT32) return (double)(float)value;
+    if (type != GFFE_FLOAT16) return rint(value * most);
+    frexp(value, &exponent);
+    unit = ldexp(1, exponent - 11 > -24 ? exponent - 11 : -24);
+    value = rint(value / unit) * unit;
+    return fabs(value) > 65504 ? copysign(INFINITY, value) : value;
+}
+
+static void fill_given(const gffe_step *step, gffe_frame_block *block) {
+    const gffe_format *format = &step->format;
+    const double most = step->has_motion ? gffe_type_most[format->motion_type] : 1;
+    const double sign = format->motion_from_previous ? -1 : 1;
+    const int swapped = format->near_z > format->far_z;
+    const double farthest = swapped ? format->near_z : format->far_z,
+                 nearest = swapped ? format->far_z : format->near_z;
+    const double far_value = format->depth_range[!swapped], near_value = format->depth_range[swapped];
+    const double depth_most = gffe_type_most[format->depth_type];
+    int k, geometry[2];
+    gffe_geometry_of(format, step->source, geometry);
+    block->geometry_width = geometry[0];
+    block->geometry_height = geometry[1];
+    for (k = 0; k < 2; ++k) {
+        const double side = step->source[k], scale = side / geometry[k];
+        const double shift = gffe_is_small(step) ? step->jitter[k] : 0;
+        const double units[] = {scale, side, side / 2, 1}; /* GFFE_PIXELS, GFFE_UV ... */
+        const double unit = units[format->motion_unit];
+        const double factor = sign * unit * (k && format->motion_y_up ? -1 : 1);
+        const double jitter = format->motion_jittered ? step->jitter[k] - step->previous_jitter[k] : 0;
+        block->given_motion.s[k] = (float)(factor * format->motion_scale[k] / most);
+        block->given_motion.s[2 + k] = (float)(factor * format->motion_offset[k] + jitter);
+        block->to_geometry.s[k] = (float)(1 / scale);
+        block->to_geometry.s[2 + k] = (float)(shift / scale);
+        block->from_geometry.s[k] = (float)scale;
+        block->from_geometry.s[2 + k] = (float)-shift;
+    }
+    if (format->depth == GFFE_DEVICE) {
+        const double factor = (1 / nearest - 1 / farthest) / (near_value - far_value) / depth_most;
+        block->given_depth = gffe_floats(factor, far_value * depth_most, 1 / farthest, far_value * depth_most);
+    } else if (format->depth == GFFE_LOGARITHMIC) {
+        const double above = nearest > 0 ? 0 : 1;
+        const double factor = log((farthest + above) / (nearest + above)) / (far_value - near_value) / depth_most;
+        block->given_depth = gffe_floats(factor, near_value * depth_most, nearest, far_value * depth_most);
+    } else {
+        const double factor = (farthest - nearest) / (far_value - near_value) / depth_most, scale = format->depth_scale;
+        block->given_depth = gffe_floats(factor * scale, near_value * depth_most, nearest * scale, NAN);
+    }
+    block->motion_invalid = NAN;
+    if (step->has_motion && !isnan(format->motion_invalid))
+        block->motion_invalid = (float)stored(format->motion_invalid, format->motion_type);
+    block->given_types.s[GFFE_COLOR] = format->color_type;
+    block->given_types.s[GFFE_DEPTH] = format->depth_type;
+    block->given_types.s[GFFE_MOTION] = step->has_motion ? format->motion_type : 0;
+    block->given_types.s[3] = format->camera_motion;
+    block->given_channels.s[0] = format->color_channels;
+    block->given_channels.s[1] = format->motion_channels;
+    block->depth_law = format->depth;
+    block->rows_up = format->rows_up != 0;
+    block->color_srgb = format->color_srgb != 0;
+    block->has_previous = step->converts_after;
+}
+
 /* Fills the frame block as gffe_cl/engine/stages/frame_block.py does. */
 void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *block) {
     const gffe_camera *source = &step->cameras[GFFE_FRAME], *previous = &step->cameras[GFFE_PREVIOUS];
@@ -139,7 +218,7 @@ void gffe_fill_frame_block(const gffe_step *step, int is_new, gffe_frame_block *
     block->color_law = gffe_floats(gain, 1 / scale, 1 / gain, scale);
     if (block->order > step->time_count - 1) block->order = step->time_count - 1;
     for (k = 0; k < 4; ++k) block->has_overlays |= step->has[k] << k;
-    if (step->converts) gffe_fill_given(step, block);
+    if (step->converts) fill_given(step, block);
     if (!is_new) return;
     reprojection(source, target, block->to_target);
     reprojection(target, source, block->to_source);
