@@ -106,13 +106,13 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_971,
+    "gffe_cl": 38_798,
     "viewer": 12_289,
     "kernels": 10_185,
-    "tests": 29_377,
-    "docs/tools": 3_621,
+    "tests": 29_323,
+    "docs/tools": 3_608,
     "docs/examples": 1_822,
-    "docs/*.md": 4_439,
+    "docs/*.md": 4_411,
 }
 MOST_MODULES = 226
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}

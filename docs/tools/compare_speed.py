@@ -2,7 +2,7 @@
 
     python docs/tools/compare_speed.py                                       HEAD and this working tree, plaza, 1080p
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
-    python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, enlarged to --size
+    python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, in its own size
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
     python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread, for
                                                                              each way in which frames come
@@ -290,7 +290,7 @@ def main() -> None:
         subjects = [*asked.scene, *asked.sequence] or [SCENE]
         for number, (subject, name) in enumerate((s, d) for s in subjects for d in asked.device or [None]):
             device = open_device(name)
-            footage = loop_of(device, subject, (width, height), asked.frame)
+            footage = loop_of(device, subject, None if subject in asked.sequence else (width, height), asked.frame)
             place = folder / f"footage_{number}"
             flags = ["--scn"] * asked.scn + (["--preset", asked.preset] if asked.preset else [])
             for way in HOST if asked.host == "all" else [asked.host]:

@@ -1,8 +1,7 @@
 """Writes the tables of docs/results.md and of the README from a report of `gffe eval`.
 
-    gffe eval --late-warp --out report
+    gffe eval --out report
     python docs/tools/make_results.py report/results.json    records what the tables need in docs/measured/eval.json
-    python docs/tools/make_results.py … --late FILE          the same, with late warps from another report
     python docs/tools/make_results.py                        the tables, from what is recorded
 
 `TABLES` names them.
@@ -12,6 +11,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import math
 from collections.abc import Callable
 from pathlib import Path
 from typing import Any
@@ -19,7 +19,7 @@ from typing import Any
 from pages import DOCS, MEASURED, REPOSITORY, table, with_all
 
 from gffe_cl.lab.table.methods import FULL
-from gffe_cl.lab.table.results import COLUMNS, METRIC_COLUMNS, PAPER, VIDEO_COLUMNS
+from gffe_cl.lab.table.results import COLUMNS, PAPER, VIDEO_COLUMNS
 
 PAGE, README, RECORD = DOCS / "results.md", REPOSITORY / "README.md", MEASURED / "eval.json"
 SHOWN = ("psnr", "against", "ssim", "flip", "flicker", *(column.name for column in VIDEO_COLUMNS))
@@ -47,12 +47,10 @@ TRAINED = ("corridor", "plaza", "room", "forest")  # scenes of which the network
 _KEPT = ("date", "command", "versions", "machine", "sequences", "methods", "means", "gains")
 
 
-def recorded(results: dict[str, Any], late: dict[str, Any]) -> dict[str, Any]:
-    """Return the parts of a report, and of one with late warps, that the tables need."""
+def recorded(results: dict[str, Any]) -> dict[str, Any]:
+    """Return the parts of a report that the tables need."""
     found = {name: results[name] for name in _KEPT}
-    found |= {"late": late["late"], "late_command": late["command"]}
     found["cells"] = [{name: cell[name] for name in ("sequence", "method", "psnr")} for cell in results["cells"]]
-    found["budget"] = results["budget"].get("all", [])
     return found
 
 
@@ -120,24 +118,15 @@ def gains_table(found: dict) -> str:
     return table(("part", "whole frame, dB", "in its region, dB", "region", "the paper, whole frame, dB"), rows)
 
 
-def budget_table(found: dict) -> str:
-    rows = [(r["region"], f"{r['pixels']:.1%}", f"{r['error']:.1%}", _db(r["gain"])) for r in found["budget"]]
+def errors_table(found: dict) -> str:
+    """Return the regions' shares of the pixels and of GFFE's squared error, and the gain if one were perfect."""
+    (of,) = (mean["regions"] for mean in found["means"] if mean["method"] == FULL)
+    errors = {name: figures["share"] * 10 ** (-figures["psnr"] / 10) for name, figures in of.items()}
+    rows, total = [], sum(errors.values())
+    for name in sorted(errors, key=errors.__getitem__, reverse=True):
+        share = errors[name] / total
+        rows.append((name, f"{of[name]['share']:.1%}", f"{share:.1%}", _db(-10 * math.log10(1 - share))))
     return table(("region", "of the pixels", "of the squared error", "dB gained if it were perfect"), rows)
-
-
-def late_table(found: dict) -> str:
-    titles = {m["name"]: m["title"] for m in found["methods"]}
-    rows = [
-        (
-            titles[r["method"]],
-            f"{r['turn']:g}°",
-            *(c.text(r[c.name]) for c in METRIC_COLUMNS),
-            f"{r['disoccluded']:.1%}",
-        )
-        for r in found["late"]
-    ]
-    made = table(("method", "turn", *(c.title for c in METRIC_COLUMNS), "not shown before"), rows)
-    return f"{made}\n\nMade by `{found['late_command']}`."
 
 
 def paper_table(found: dict) -> str:
@@ -159,8 +148,7 @@ TABLES: dict[str, Callable[[dict], str]] = {
     "eval-regions": regions_table,
     "eval-scenes": scenes_table,
     "eval-gains": gains_table,
-    "eval-budget": budget_table,
-    "eval-late": late_table,
+    "eval-errors": errors_table,
     "eval-paper": paper_table,
 }
 
@@ -190,10 +178,9 @@ def _db(value: float | None) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("report", nargs="?", type=Path)
-    parser.add_argument("--late", type=Path)
     given = parser.parse_args()
     if given.report:
-        found = recorded(*(json.loads(path.read_text("utf-8")) for path in (given.report, given.late or given.report)))
+        found = recorded(json.loads(given.report.read_text("utf-8")))
         RECORD.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
     for page in (PAGE, README):
         page.write_text(with_tables(page.read_text("utf-8")), "utf-8")

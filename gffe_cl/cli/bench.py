@@ -42,7 +42,7 @@ def bench(
     ] = None,
     sizes: Annotated[
         str | None,
-        typer.Option(help=f"Frame sizes: WxH,…; sequences are enlarged [dim](default: {_SIZES}; a sequence's own)[/]."),
+        typer.Option(help=f"Frame sizes of a built-in scene, WxH,… [dim](default: {_SIZES}; a sequence's own)[/]."),
     ] = None,
     repeats: Annotated[int, typer.Option(help="Number of timed frames per size.")] = 15,
     frame: Annotated[

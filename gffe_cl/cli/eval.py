@@ -5,7 +5,6 @@ from __future__ import annotations
 import json
 import shlex
 import sys
-from dataclasses import replace
 from functools import partial
 from itertools import product
 from pathlib import Path
@@ -32,11 +31,7 @@ from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import require_output_file, write_text
 
 if TYPE_CHECKING:
-    from gffe_cl.lab.table.cells import Filled
     from gffe_cl.lab.table.footage import Subject
-    from gffe_cl.lab.table.results import Column
-
-TURNS = (0.5, 1.0, 2.0, 4.0)  # degrees
 
 
 @app.command("eval")
@@ -96,18 +91,6 @@ def evaluate(
     regions: Annotated[
         bool, typer.Option("--regions", help="Regions of the picture: print the PSNR of every method in each.")
     ] = False,
-    budget: Annotated[
-        bool,
-        typer.Option(
-            "--budget", help="Error budget: print each region's share, and the gain if that region were perfect."
-        ),
-    ] = False,
-    late_warp: Annotated[
-        bool,
-        typer.Option(
-            "--late-warp", help="Late warp: also measure rendered frames that are shown from a turned camera."
-        ),
-    ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Finished cells: compute them again.")] = False,
     device: DeviceOption = None,
     follow_links: FollowLinksOption = False,
@@ -117,8 +100,6 @@ def evaluate(
     require_packages("eval", "lab", "skimage", "scipy")
     from gffe_cl.captures.scenes import SCENES, is_scene
     from gffe_cl.lab.table.cells import TableOrder, fill
-    from gffe_cl.lab.table.footage import SceneSubject
-    from gffe_cl.lab.table.methods import LATE_WARP
     from gffe_cl.lab.table.results import results_of
 
     if not (4 <= frames <= 10_000 and 0 < fps <= 1e6 and 1 <= seeds <= 10_000):
@@ -141,22 +122,13 @@ def evaluate(
     output = _folder(output)
     require_output_file(output / "results.json", "--out", overwrite)
     with progress_bars() as bars:
-
-        def filling(text: str, order: TableOrder) -> Filled:
-            return fill(order, output / "cells", device, partial(steps(bars), text))
-
-        filled = filling("Measuring", TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network))
-        built_in = [s for s in chosen if isinstance(s, SceneSubject)]
-        late = {}
-        for turn in TURNS if late_warp and built_in else ():
-            turned = tuple(replace(subject, alphas=(), turns=(turn,)) for subject in built_in)
-            order = TableOrder(turned, LATE_WARP, recompute=fresh, network=network)
-            late[turn] = filling(f"Late warp, {turn:g}°", order)
+        order = TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network)
+        filled = fill(order, output / "cells", device, partial(steps(bars), "Measuring"))
     for name, reason in broken.items():
         filled.drop(name, reason)
-    results = results_of(filled, late, shlex.join(["gffe", *sys.argv[1:]]))
+    results = results_of(filled, shlex.join(["gffe", *sys.argv[1:]]))
     _write(output, results)
-    _print(results, budget, regions)
+    _print(results, regions)
     if filled.broken:
         raise GffeError(
             f"eval: {len(filled.broken)} of the sequences could not be measured: {', '.join(filled.broken)}"
@@ -217,7 +189,7 @@ def _write(output: Path, results: dict) -> None:
     out.print(f"{plain(output / 'results.json')}, results.csv")
 
 
-def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
+def _print(results: dict, with_regions: bool) -> None:
     from gffe_cl.lab.table.results import columns_of
 
     columns = columns_of(results)
@@ -240,10 +212,6 @@ def _print(results: dict, with_budget: bool, with_regions: bool) -> None:
     if with_regions:
         _print_regions(results)
     _print_gains(results)
-    if results["late"]:
-        _print_late(results["late"])
-    if with_budget:
-        _print_budget(results["budget"])
     for skip in results["skipped"]:
         where = f" ({', '.join(skip['sequences'])})" if skip["sequences"] else ""
         warn(f"left out: {skip['what']}{where}: {skip['reason']}")
@@ -284,25 +252,6 @@ def _print_gains(results: dict) -> None:
     for gain in results["gains"]:
         figures = [_db(gain[key]) for key in ("mean", "in_region")]
         table.add_row(gain["title"], *figures, gain["region"], _db(gain["paper"]))
-    out.print(table)
-
-
-def _print_budget(budget: dict[str, list[dict]]) -> None:
-    for name, rows in budget.items():
-        table = Table(plain(name), "of the pixels", "of the error", "dB if perfect", box=None, header_style="bold")
-        for row in rows:
-            table.add_row(row["region"], f"{row['pixels']:.2%}", f"{row['error']:.1%}", _db(row["gain"]))
-        out.print(table)
-
-
-def _print_late(rows: list[dict]) -> None:
-    from gffe_cl.lab.table.results import METRIC_COLUMNS
-
-    heads: list[Column] = list(METRIC_COLUMNS)
-    table = Table("late warp", "turn", *(c.title for c in heads), "not shown before", box=None, header_style="bold")
-    for row in rows:
-        figures = (c.text(row[c.name]) for c in heads)
-        table.add_row(row["title"], f"{row['turn']:g}°", *figures, f"{row['disoccluded']:.2%}")
     out.print(table)
 
 

@@ -121,41 +121,6 @@ def test_a_part_sees_what_the_whole_does():
     assert reset.part(20, 16, (0.5, 0.5)).frames[0].motion is None
 
 
-def test_enlarging_keeps_planes_and_edges():
-    """A slanted plane whose motion is linear, and before it a square that moves otherwise."""
-    y, x = np.mgrid[:12, :16] + 0.5
-    inverse = 0.1 + 0.001 * x + 0.002 * y
-    motion = np.stack([0.1 * x, 0.05 * y], -1)
-    square = (slice(4, 8), slice(5, 9))
-    inverse[square], motion[square] = 1.0, (-9.0, 3.0)
-    color = np.stack([x, y, 0 * x], -1)
-    camera = Camera(np.eye(4), 10, 10, 8, 6)
-    frame = RenderedFrame(*(a.astype(np.float32) for a in (color, 1 / inverse, motion)), camera, 0.0)
-    assert inputs.enlarged(frame, 16, 12) is frame
-    large = inputs.enlarged(frame, 48, 36)
-    near = large.depth < 2
-    assert near.sum() == 9 * 16 and near[12:24, 15:27].all()
-    assert np.allclose(large.depth[near], 1) and np.allclose(large.motion[near], (-27, 9))
-    yy, xx = np.mgrid[2:34, 2:46] + 0.5
-    plain = np.ones((36, 48), bool)
-    plain[10:26, 13:29] = False
-    plain = plain[2:34, 2:46]
-    want = 0.1 + 0.001 * xx / 3 + 0.002 * yy / 3
-    assert np.allclose(1 / large.depth[2:34, 2:46][plain], want[plain], rtol=1e-5)
-    assert np.allclose(large.motion[2:34, 2:46][plain], np.stack([0.1 * xx, 0.05 * yy], -1)[plain], rtol=1e-4)
-    assert np.allclose(large.color[2:34, 2:46, 0][plain], xx[plain] / 3, rtol=1e-4)
-    assert large.camera == camera.scaled(3, 3)
-
-
-def test_enlarging_keeps_the_sky_and_bad_pixels():
-    depth = np.full((4, 4), np.inf, np.float32)
-    depth[3, 3] = np.nan
-    frame = RenderedFrame(np.ones((4, 4, 3), np.float16), depth, None, Camera(np.eye(4), 4, 4, 2, 2), 0.0, reset=True)
-    large = inputs.enlarged(frame, 8, 8)
-    assert np.isnan(large.depth[6:, 6:]).all() and np.isposinf(large.depth[:5, :5]).all() and large.reset
-    assert not large.motion.any() and inputs.enlarged(frame, 1, 1).depth.shape == (1, 1)
-
-
 # ---- scripts of the documentation ------------------------------------------------------------------------------
 
 

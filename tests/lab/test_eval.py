@@ -20,10 +20,10 @@ from gffe_cl.lab.table.methods import METHODS
 
 def test_cells_are_those_of_their_subject_method_and_sources(monkeypatch, tmp_path):
     subject = SceneSubject("room", 0, 64, 36, 6, 30.0, (0.5,))
-    others = (replace(subject, seed=1), replace(subject, alphas=(0.25,)), replace(subject, turns=(1.0,)))
+    others = (replace(subject, seed=1), replace(subject, alphas=(0.25,)))
     keys = {cells.key_of(one.identity(), METHODS["gffe"].identity()) for one in (subject, *others)}
     keys |= {cells.key_of(subject.identity(), method.identity()) for method in METHODS.values()}
-    assert len(keys) == 3 + len(METHODS)
+    assert len(keys) == 2 + len(METHODS)
     for name in ("kernel_digest", "sources"):
         with monkeypatch.context() as changed:
             changed.setattr(cells, name, lambda: "others")
@@ -56,14 +56,14 @@ FEW = "gffe,no-motion,adaptive-window,motion-vectors,guided,interpolation,repeat
 
 @pytest.mark.long
 def test_eval(gffe, tmp_path, monkeypatch):
-    """A scene and a sequence on disk, a network, late warp; and again, with nothing to do."""
+    """A scene and a sequence on disk, a network; and again, with nothing to do."""
     monkeypatch.setenv("OMP_NUM_THREADS", "1")
     sequence, report = tmp_path / "plaza<b>", tmp_path / "report"
     assert gffe("render", "plaza", sequence, "--size", "64x36", "--frames", 4, "--ground-truth")[0] == 0
     model = network(tmp_path / "mix.onnx")
     call = ("eval", "forest:2", sequence, "--out", report, *SMALL, "--methods", FEW, "--onnx", f"mix={model}")
-    code, text, err = gffe(*call, "--late-warp", "--budget")
-    assert code == 0 and "dB if perfect" in text and "late warp" in text, err
+    code, text, err = gffe(*call, "--regions")
+    assert code == 0 and "by region" in text, err
     assert "guided (plaza<b>): needs G-buffers" in err and "adaptive-window (plaza<b>): windows can be chosen" in err
 
     document = json.loads((report / "results.json").read_text())
@@ -77,9 +77,6 @@ def test_eval(gffe, tmp_path, monkeypatch):
     )
     assert found["forest:2", "repeat"]["against"] == pytest.approx(found["forest:2", "repeat"]["psnr"] - best["psnr"])
     assert {"psnr", "ssim", "flip", "flicker", "milliseconds"} <= {c["name"] for c in document["columns"]}
-    assert [row["turn"] for row in document["late"] if row["method"] == "gffe"] == [0.5, 1, 2, 4]
-    shown = [row["disoccluded"] for row in document["late"] if row["method"] == "gffe"]
-    assert shown == sorted(shown) and shown[-1] > 0.03
     for sequence_of in document["sequences"]:
         assert sum(sequence_of["shares"].values()) == pytest.approx(1)
 
@@ -90,7 +87,7 @@ def test_eval(gffe, tmp_path, monkeypatch):
 
     before = {path.name: path.stat().st_mtime_ns for path in (report / "cells").iterdir()}
     start = time.process_time()
-    assert gffe(*call, "--late-warp")[0] == 0
+    assert gffe(*call)[0] == 0
     assert time.process_time() - start < 10
     assert {path.name: path.stat().st_mtime_ns for path in (report / "cells").iterdir()} == before
     again = json.loads((report / "results.json").read_text())

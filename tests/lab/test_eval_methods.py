@@ -12,8 +12,8 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import to_display
-from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, RegionErrors, blurred, labels_of, masks, steps
-from gffe_cl.lab.table import baselines, cells, results
+from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, blurred, labels_of, masks, steps
+from gffe_cl.lab.table import baselines, cells
 from gffe_cl.lab.table.baselines import OnnxModel, OnnxRunner
 from gffe_cl.lab.table.footage import Guide, Moment, Shot, exact_parts, pixel_centers
 from gffe_cl.lab.table.methods import chosen_methods
@@ -144,7 +144,7 @@ def test_networks_of_another_contract_are_refused(tmp_path):
             chosen_methods([], [text])
 
 
-# ---- regions, flicker, budget ----------------------------------------------------------------------------------
+# ---- regions, flicker ----------------------------------------------------------------------------------
 
 
 def test_regions_by_hand():
@@ -211,22 +211,6 @@ def test_flicker_is_what_alternates():
     assert cut.add(truth, truth) is None
     cut.cut()
     assert cut.add(truth + 0.1, truth) is None and cut.count == 0
-
-
-def test_budget_of_a_known_error():
-    labels = np.zeros((4, 10), np.uint8)
-    labels[:] = len(REGIONS) - 1
-    labels[0] = 0
-    truth = np.zeros((4, 10, 3), np.float32)
-    shown = truth.copy()
-    shown[0], shown[1] = 0.3, 0.1
-    errors = RegionErrors()
-    errors.add(shown, truth, masks(labels), [METRICS["psnr"]])
-    rows = {row["region"]: row for row in results.budget(errors)}
-    assert rows["out of screen"]["error"] == pytest.approx(0.9, abs=1e-5)
-    assert rows["out of screen"]["gain"] == pytest.approx(10, abs=1e-3) and rows["out of screen"]["pixels"] == 0.25
-    assert rows["rest"]["gain"] == pytest.approx(-10 * math.log10(0.9), abs=1e-4)
-    assert next(iter(results.budget(errors)))["region"] == "out of screen"
 
 
 def test_figures_are_those_of_the_reference_packages():

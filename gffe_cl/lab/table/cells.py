@@ -187,12 +187,10 @@ def _measure(
             flicker.cut()
             _finish(runner)
             continue
-        in_order = not any(moment.turn for moment in shot.moments)
-        if in_order:
-            pair = _rendered_pair(footage, runner, shot)
-            flicker.add(*pair)
-            if videos:
-                shown_all.append((*pair, False))
+        pair = _rendered_pair(footage, runner, shot)
+        flicker.add(*pair)
+        if videos:
+            shown_all.append((*pair, False))
         for moment in shot.moments:
             _finish(runner)
             with _lap(clock.makes):
@@ -202,8 +200,8 @@ def _measure(
             one.add(shown, truth, masks(footage.labels[len(errors)]), metrics)
             errors.append(one)
             row = {metric.name: finite(one.figure(metric.name, "whole")) for metric in metrics}
-            row["flicker"] = flicker.add(shown, truth) if in_order else None
-            frames.append({"time": moment.time, "alpha": moment.alpha, "turn": moment.turn} | row)
+            row["flicker"] = flicker.add(shown, truth)
+            frames.append({"time": moment.time, "alpha": moment.alpha} | row)
             if videos:
                 shown_all.append((shown, truth, True))
             on_moment()

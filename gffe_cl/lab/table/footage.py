@@ -49,8 +49,7 @@ _MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in so
 
 @dataclass(frozen=True)
 class SceneSubject:
-    """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals); or, with `turns`, by
-    views at their own time from a camera that has turned by so many degrees (late warp). Frames are stored by
+    """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals). Frames are stored by
     `encoding`, a text as of `Encoding.parse`."""
 
     scene: str
@@ -60,7 +59,6 @@ class SceneSubject:
     frames: int
     fps: float
     alphas: tuple[float, ...]
-    turns: tuple[float, ...] = ()
     encoding: str = ""
 
     @property
@@ -72,12 +70,10 @@ class SceneSubject:
         """Whether moments have a `Guide`, as of `Footage`."""
         return not self.encoding
 
-    windows = exact
-
     @property
     def moments(self) -> int:
         """Number of moments."""
-        return max(self.frames - NO_HISTORY, 0) * len(self.turns or self.alphas)
+        return max(self.frames - NO_HISTORY, 0) * len(self.alphas)
 
     def identity(self) -> dict:
         return asdict(self)
@@ -96,7 +92,7 @@ class FolderSubject:
     def name(self) -> str:
         return _named(Path(self.path).resolve().name, self.encoding)
 
-    exact = windows = False
+    exact = False
 
     def identity(self) -> dict:
         """Return the identity: by the contents of all files, not by their place."""
@@ -132,14 +128,13 @@ class Guide:
 @dataclass(frozen=True)
 class Moment:
     """A time at which a new frame is made: `time` in seconds, `alpha` in intervals after the rendered frame; `camera`
-    of the new frame, None if not known; `truth` (H, W, 3) linear; `turn`: degrees, for late warps."""
+    of the new frame, None if not known; `truth` (H, W, 3) linear."""
 
     time: float
     alpha: float
     camera: Camera | None
     truth: np.ndarray
     guide: Guide | None = None
-    turn: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -156,10 +151,10 @@ class Shot:
 
 class Footage:
     """Rendered frames and moments of a subject. `exact`: whether moments have a `Guide`, of which rendered frames are
-    the exact surfaces; `windows`: whether frames can be rendered through a window of choice; `encoding`: how frames are
-    stored; `labels`: of each moment in order (`regions`), filled in by callers that need them."""
+    the exact surfaces, and frames can be rendered through a window of choice; `encoding`: how frames are stored;
+    `labels`: of each moment in order (`regions`), filled in by callers that need them."""
 
-    exact = windows = False
+    exact = False
 
     def __init__(self, name: str, width: int, height: int, fps: float, exposure: float, encoding: Encoding = EXACT):
         self.name, self.width, self.height, self.fps, self.exposure = name, width, height, fps, exposure
@@ -169,7 +164,7 @@ class Footage:
 
     def shots(self, window: str = "off") -> Iterator[Shot]:
         """Yield the shots in order of time. `window`: "off" for displayed frames; "given" for frames as recorded; or,
-        if `windows` are available, any other mode of `WindowChooser`."""
+        if it is `exact`, any other mode of `WindowChooser`."""
         if window in self._kept:
             yield from self._kept[window]
             return
@@ -196,7 +191,7 @@ class _Scene(Footage):
         self._scene, self._device = load_scene(subject.scene, subject.seed), device
         self._subject = subject
         size = (subject.width, subject.height)
-        self.exact = self.windows = subject.exact
+        self.exact = subject.exact
         encoding = Encoding.parse(subject.encoding) if subject.encoding else EXACT
         super().__init__(subject.name, *size, subject.fps, self._scene.exposure, encoding)
         self._renderer = SceneRenderer(device, self._scene, *size)
@@ -223,25 +218,19 @@ class _Scene(Footage):
             now = k / self.fps, self._scene.camera(k / self.fps, self.width, self.height)
             image = self._renderer.render(*now, *(before or now)).numpy()
             moving = moving_pixels(image.motion, image.depth, now[1], (before or now)[1])
-            times = self._times(k) if k >= NO_HISTORY else []
-            yield image.color, tuple(self._moment(*now, *at) for at in times), moving
+            alphas = self._subject.alphas if k >= NO_HISTORY else ()
+            yield image.color, tuple(self._moment(*now, (k + alpha) / self.fps, alpha) for alpha in alphas), moving
             before = now
 
-    def _times(self, k: int) -> list[tuple[float, float, float]]:
-        """Return (time, α, degrees of turn) of the moments after rendered frame `k`."""
-        if self._subject.turns:
-            return [(k / self.fps, 0.0, turn) for turn in self._subject.turns]
-        return [((k + alpha) / self.fps, alpha, 0.0) for alpha in self._subject.alphas]
-
-    def _moment(self, source_time: float, source: Camera, time: float, alpha: float, turn: float) -> Moment:
-        camera = turned(self._scene.camera(time, self.width, self.height), turn)
+    def _moment(self, source_time: float, source: Camera, time: float, alpha: float) -> Moment:
+        camera = self._scene.camera(time, self.width, self.height)
         image = self._renderer.render(time, camera, source_time, source).numpy()
         moving = moving_pixels(image.motion, image.depth, camera, source)
         z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
         z = np.where(np.isfinite(image.motion).all(-1), z, np.nan).astype(np.float32)
         guide = Guide(image.depth, image.motion, z, moving)
         color = self.encoding.truth(image.color, self.exposure)
-        return Moment(time, alpha, camera, color, guide if self.exact else None, turn)
+        return Moment(time, alpha, camera, color, guide if self.exact else None)
 
 
 class _Folder(Footage):
@@ -334,17 +323,6 @@ def truths_after(sequence: Sequence) -> dict[int, list[FrameEntry]]:
         if index is not None and usable[index]:
             found.setdefault(index, []).append(truth)
     return found
-
-
-def turned(camera: Camera, degrees: float) -> Camera:
-    """Return the same camera, turned to the right about its own vertical axis."""
-    if not degrees:
-        return camera
-    angle = np.radians(degrees)
-    turn = np.eye(4)
-    turn[0, 0] = turn[2, 2] = np.cos(angle)
-    turn[0, 2], turn[2, 0] = -np.sin(angle), np.sin(angle)
-    return Camera(turn @ camera.world_to_view, *camera.intrinsics)
 
 
 def moving_pixels(motion: np.ndarray, depth: np.ndarray, camera: Camera, other: Camera) -> np.ndarray:

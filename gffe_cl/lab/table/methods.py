@@ -73,7 +73,7 @@ class Method:
             return f"needs {self.package[0]}: {how_to_install(self.package[1])}"
         if "guide" in self.needs and not footage.exact:
             return "needs G-buffers of the new frames, which only exact built-in scenes have"
-        if "windows" in self.needs and not footage.windows:
+        if "windows" in self.needs and not footage.exact:
             return "windows can be chosen for exact built-in scenes only"
         return None
 
@@ -186,7 +186,6 @@ _ALL = (
 )
 METHODS: dict[str, Method] = {method.name: method for method in _ALL}
 GROUPS = tuple(dict.fromkeys(method.group for method in _ALL))
-LATE_WARP = (FULL, "static-reprojection", "repeat")
 
 
 @dataclass(frozen=True)

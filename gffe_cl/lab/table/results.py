@@ -71,8 +71,8 @@ TIME = Column("milliseconds", "ms", 1, False)
 COLUMNS = {c.name: c for c in (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], FLICKER, *VIDEO_COLUMNS, TIME)}
 
 
-def results_of(filled: Filled, late: dict[float, Filled] | None = None, command: str = "") -> dict:
-    """Return all results, for JSON. `late`: tables of late warps by degrees of turn; `command`: how it was made."""
+def results_of(filled: Filled, command: str = "") -> dict:
+    """Return all results, for JSON. `command`: how it was made."""
     cells = [_cell(sequence, name, cell) for (sequence, name), cell in filled.cells.items()]
     full = {cell["sequence"]: cell["psnr"] for cell in cells if cell["method"] == FULL}
     for cell in cells:
@@ -95,8 +95,6 @@ def results_of(filled: Filled, late: dict[float, Filled] | None = None, command:
         "means": means,
         "gains": gains(filled),
         "encodings": encodings(filled, cells),
-        "budget": {name: budget(of) for name, of in _budgeted(filled).items()},
-        "late": _late(late) if late else [],
         "skipped": _skipped(filled),
     }
 
@@ -110,25 +108,6 @@ def versions() -> dict[str, str]:
         except PackageNotFoundError:
             continue
     return found
-
-
-def budget(errors: RegionErrors) -> list[dict]:
-    """Return the squared error by region: its share of the pixels and of the error, and the gain in dB of the whole
-    frame if the region were perfect (None: all of the error is there)."""
-    sums = errors.sums["psnr"]
-    total = sums["whole"]
-    rows = []
-    for name in REGIONS:
-        share = sums[name] / total if total else 0.0
-        rows.append(
-            {
-                "region": name,
-                "pixels": errors.share(name),
-                "error": share,
-                "gain": -10 * math.log10(1 - share) if share < 1 else None,
-            }
-        )
-    return sorted(rows, key=lambda row: -row["error"])
 
 
 def gains(filled: Filled) -> list[dict]:
@@ -217,28 +196,6 @@ def _mean(name: str, cells: list[dict], filled: Filled, names: list[str]) -> dic
     figures = pooled.figures()
     mean["regions"] = {region: {key: finite(value) for key, value in figures[region].items()} for region in REGIONS}
     return mean
-
-
-def _budgeted(filled: Filled) -> dict[str, RegionErrors]:
-    own = {s.name: filled.cells[s.name, FULL].errors for s in filled.subjects if (s.name, FULL) in filled.cells}
-    return ({"all": RegionErrors.pooled(own.values())} if own else {}) | own
-
-
-def _late(late: dict[float, Filled]) -> list[dict]:
-    """Return results by method and degrees of turn: means over sequences, and the share of the pixels that the rendered
-    frame does not show."""
-    rows = []
-    hidden = [name for name in REGIONS if name.endswith("disocclusion") or name == "out of screen"]
-    for turn, filled in late.items():
-        for name in filled.methods:
-            cells = [cell for (_, method), cell in filled.cells.items() if method == name]
-            row = {"method": name, "title": filled.methods[name].title, "turn": turn}
-            for column in METRIC_COLUMNS:
-                row[column.name] = float(np.mean([_average(cell, column.name) for cell in cells]))
-            errors = RegionErrors.pooled(cell.errors for cell in cells)
-            row["disoccluded"] = sum(errors.share(region) for region in hidden)
-            rows.append(row)
-    return rows
 
 
 def _skipped(filled: Filled) -> list[dict]:
