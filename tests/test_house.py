@@ -106,15 +106,15 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_798,
+    "gffe_cl": 38_597,
     "viewer": 12_289,
     "kernels": 10_185,
-    "tests": 29_323,
-    "docs/tools": 3_608,
+    "tests": 29_387,
+    "docs/tools": 3_589,
     "docs/examples": 1_822,
-    "docs/*.md": 4_411,
+    "docs/*.md": 4_401,
 }
-MOST_MODULES = 226
+MOST_MODULES = 225
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
 
 

@@ -14,7 +14,7 @@ from __future__ import annotations
 import argparse
 import json
 import sys
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -35,28 +35,16 @@ ALPHA, FPS = 0.5, 30.0
 SIZE, FRAMES = (480, 270), 8
 LEAST = 0.25  # pixels: the least automatic threshold
 FIXED = (1.0, 1.4, 2.0, 2.8, 4.0)  # pixels
-ENCODINGS = (
-    "",
-    "half-uv",
-    "half-uv,two-lookups",
-    "unorm8",
-    "unorm16",
-    "rounded",
-    "rounded,two-lookups",
-    "half-depth",
-    "noisy-camera",
-    "engine",
-)
+ENCODINGS = "", "half-uv", "unorm8", "half-depth"
 BELOW, FACTOR = 0.2, 1.5  # targets: dB below the best fixed threshold, and factor of the share of dynamic pixels
 RECORD = MEASURED / "encodings.json"
 
 
 @dataclass
 class Moment:
-    """A rendered frame, its motion over half the interval twice (None: a reset), and what is to be shown at t + α."""
+    """A rendered frame, and what is to be shown at t + α."""
 
     frame: RenderedFrame
-    half_motions: tuple[np.ndarray, np.ndarray] | None
     time: float
     camera: Camera
     truth: np.ndarray
@@ -95,13 +83,11 @@ class Cell:
 def render(device: Device, name: str, seed: int) -> tuple[float, list[Moment]]:
     """Return exposure and moments of a scene."""
     scene = load_scene(name, seed)
-    frames, before, moments = SceneFrames(SceneRenderer(device, scene, *SIZE)), None, []
+    frames, moments = SceneFrames(SceneRenderer(device, scene, *SIZE)), []
     for frame in frames.sequence(FRAMES, FPS):
         time = frame.time + ALPHA / FPS
-        halves = frames.half_motions(frame, before) if before else None
         truth = to_display(frames.truth(time).read("color"), scene.exposure)
-        moments.append(Moment(frame, halves, time, frames.display_camera(time), truth))
-        before = frame
+        moments.append(Moment(frame, time, frames.display_camera(time), truth))
     return scene.exposure, moments
 
 
@@ -153,12 +139,7 @@ def measured(device: Device, name: str, seed: int, encodings: tuple[str, ...]) -
     cells = []
     for text in encodings:
         encoding = Encoding.parse(text) if text else EXACT
-        stored = []
-        for moment in moments:
-            halves = moment.half_motions if encoding.looks_up_twice else None
-            frame = encoding.frame(moment.frame, exposure, halves)
-            (camera,) = encoding.cameras(moment.time, moment.camera)
-            stored.append(Moment(frame, None, moment.time, camera, moment.truth))
+        stored = [replace(moment, frame=encoding.frame(moment.frame, exposure)) for moment in moments]
         psnr = {f"{pixels:g}": shown(device, exposure, stored, pixels)[0] for pixels in FIXED}
         psnr["automatic"], dynamic = shown(device, exposure, stored, None)
         cells.append(Cell(name, seed, text, psnr, dynamic, exact, visible(moments, stored), best - psnr["automatic"]))

@@ -69,8 +69,7 @@ def render(
 ) -> None:
     """Render a built-in scene to a sequence: color, depth, motion vectors and cameras.
 
-    Situations, small scenes of one difficulty each: bars, railings, entering, ropes, balls, rotors, handheld, cab,
-    wipers, lamps, shadows, fan, screen, marbles, quantized.
+    Situations, small scenes of one difficulty each: bars, railings, balls, rotors, handheld, cab, wipers, shadows, fan.
     """
     from gffe_cl.captures.scenes import load_scene
     from gffe_cl.captures.scenes.sequences import render_sequence

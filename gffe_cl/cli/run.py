@@ -151,7 +151,7 @@ def run(
         reports = {}
         for path, source in sources:
             place = output / path.name if several else output
-            detects = not no_check and _check_quickly(source, path, ui_detection)
+            detects = not no_check and _check_quickly(source, path, opened, ui_detection)
             chosen = replace(options, ui_detection=True) if detects else options
             try:
                 report = (_run_to_video if as_video else run_sequence)(source, place, opened, chosen, alphas, **how)
@@ -209,10 +209,11 @@ def _run_to_video(source, place: Path, device, options, alphas, **how) -> RunRep
     return report
 
 
-def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> bool:
+def _check_quickly(source: Recorded | Live, target: Path, device: Device, ui_detection: str) -> bool:
     """Print a warning if the first frames of a sequence do not fit. Return whether they show a user interface and
     `ui_detection` is "auto"."""
-    from gffe_cl.captures.doctor import quick_warning, shows_interface
+    from gffe_cl.captures.doctor import quick_warning
+    from gffe_cl.captures.offline.run import shows_interface
     from gffe_cl.captures.offline.source import Recorded
 
     if not isinstance(source, Recorded):
@@ -220,7 +221,7 @@ def _check_quickly(source: Recorded | Live, target: Path, ui_detection: str) -> 
     suspicion = quick_warning(source.sequence, source.exposure)
     if suspicion:
         warn(f"{suspicion}; `gffe check {target}` has details")
-    detects = ui_detection == "auto" and shows_interface(source.sequence, source.exposure)
+    detects = ui_detection == "auto" and shows_interface(source, device)
     if detects:
         out.print("user interface detection is on; `--ui-detection off` leaves it out", soft_wrap=True)
     return detects

@@ -20,7 +20,7 @@ _GRAIN = 0.03  # of linear colors
 _UNWRITTEN, _FEW = 65504.0, 0.002  # pixels, and the share of vectors that have this value
 _FAR = 1e9  # stands for infinity where directions are reprojected
 _JITTER = 8  # positions of the Halton sequence
-_CAPTURE = Encoding.parse("half-uv,half-depth,8bit-color,noisy-camera")
+_CAPTURE = Encoding.parse("engine")
 
 
 class Kept:

@@ -4,7 +4,6 @@ from gffe_cl.captures.doctor.diagnose import Diagnosis, examine
 from gffe_cl.captures.doctor.findings import Finding
 from gffe_cl.captures.doctor.found_format import FoundFormat, with_format
 from gffe_cl.captures.doctor.quick import quick_warning, warning_of
-from gffe_cl.captures.doctor.user_interface import shows_interface
 
 __all__ = [
     "Diagnosis",
@@ -12,7 +11,6 @@ __all__ = [
     "FoundFormat",
     "examine",
     "quick_warning",
-    "shows_interface",
     "warning_of",
     "with_format",
 ]

@@ -42,16 +42,13 @@ def import_capture(
 
     Of the rendered frames after a reset every `every`-th one stays rendered, the others become ground truth; motion
     then reaches over the frames in between, m₂(x) = m(x) + m′(x + m(x)), and `fps` is that of the frames that stay.
-    Frames that stay are stored by `encoding`. If that looks motion up twice, each frame's motion is stored, and x +
-    m(x) is the nearest pixel. `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is called after
-    every frame.
+    Frames that stay are stored by `encoding`. `compression` is that of the EXRs (see `SequenceWriter`). `on_frame` is
+    called after every frame.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
     if not 1 <= every <= _MOST_EVERY:
         raise GffeError(f"--every must be 1 to {_MOST_EVERY}, got {every}")
-    if encoding.looks_up_twice and every == 1:
-        raise GffeError("--encode: two-lookups adds the vectors of several frames (expected --every 2 or more)")
     if encoding.is_rendered:
         raise GffeError("--encode: taa and jittered need a renderer (expected `gffe render --encode`)")
     refuse_same_folder(output, sequence.path)
@@ -72,7 +69,6 @@ def import_capture(
     )
     with writing as writer:
         for entry, frame, stays in _thinned(sequence, every, encoding):
-            entry = _fitted(entry, encoding)
             if stays:
                 writer.add_frame(entry, frame)
             else:
@@ -82,7 +78,7 @@ def import_capture(
             report.ground_truth += not stays
             on_frame()
         for entry, color in sequence.prefetch(sequence.ground_truth, sequence.read_color):
-            _add_truth(writer, _fitted(entry, encoding), encoding.truth(color, sequence.exposure))
+            _add_truth(writer, entry, encoding.truth(color, sequence.exposure))
             report.ground_truth += 1
             on_frame()
     report.warnings = sequence.warnings()
@@ -103,12 +99,9 @@ def _thinned(sequence: Sequence, every: int, encoding: Encoding) -> Iterator[tup
             since.append(frame)
             yield entry, frame, False
             continue
-        motions = None
-        if since and encoding.looks_up_twice:
-            motions = [one.motion for one in (frame, *since[:0:-1])]
-        stored = replace(frame, motion=_over(frame, since)) if since and not motions else frame
+        stored = replace(frame, motion=_over(frame, since)) if since else frame
         since = [frame]
-        yield entry, encoding.frame(stored, sequence.exposure, motions), True
+        yield entry, encoding.frame(stored, sequence.exposure), True
 
 
 def _over(frame: RenderedFrame, since: list[RenderedFrame]) -> np.ndarray | None:
@@ -121,12 +114,6 @@ def _over(frame: RenderedFrame, since: list[RenderedFrame]) -> np.ndarray | None
             motion, frame.depth, frame.camera, between.motion, between.depth, between.camera, before.camera, steps
         )
     return motion
-
-
-def _fitted(entry: FrameEntry, encoding: Encoding) -> FrameEntry:
-    """Return `entry` with cameras in the precision of `encoding`."""
-    render, display = encoding.cameras(entry.time, entry.render_camera or entry.display_camera, entry.display_camera)
-    return replace(entry, render_camera=entry.render_camera and render, display_camera=display)
 
 
 def _add_truth(writer: SequenceWriter, entry: FrameEntry, color: np.ndarray) -> None:

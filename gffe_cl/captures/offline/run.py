@@ -31,6 +31,7 @@ from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import pictures_of
 
 _MOST_ALPHA = 100
+_CHECKED, _LEAST_SHARE = 5, 0.002  # first frames, and the share of their pixels, that show a user interface
 _MOTION_STEPS = np.float32(1024)  # per pixel, of motion in files
 MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.filled_by": "filled_by"}
 
@@ -173,6 +174,21 @@ def run_sequence(
         "codec_cpu": codec_seconds() - codec,
     }
     return report
+
+
+def shows_interface(source: Source, device: Device) -> bool:
+    """Return whether the first frames of `source` have a user interface in the color. Raises GffeError if one cannot
+    be read."""
+    pipeline = Pipeline(device, *source.render_size, Options.preset("performance", ui_detection=True))
+    pipeline.exposure, shares = source.exposure, [0.0]
+    for k in range(min(source.count, _CHECKED)):
+        frame = source.rendered(k)
+        pipeline.submit(replace(frame, display_camera=None, overlays=None))
+        found = pipeline.stages["user_interface"].read("mask") > 0
+        if frame.overlays is not None and frame.overlays.fixed_mask is not None:
+            found &= np.asarray(frame.overlays.fixed_mask) == 0
+        shares.append(float(found.mean()))
+    return max(shares) >= _LEAST_SHARE
 
 
 def _settings(source: Source, options: Options, alphas: list[float], predicted_camera: bool, compression: str) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -103,15 +103,6 @@ class SceneFrames:
         self.windows.observe(image.depth)
         return RenderedFrame(image.color, image.depth, image.motion, camera, time, shown, reset=before is None)
 
-    def half_motions(self, frame: RenderedFrame, before: RenderedFrame) -> tuple[np.ndarray, np.ndarray]:
-        """Return motion (H, W, 2) from `frame` half way to the rendered frame `before`, and from there to `before`,
-        as in an engine that renders twice as many frames."""
-        time = (frame.time + before.time) / 2
-        camera = self.render_camera(self.display_camera(time), None)
-        halves = (frame.time, frame.camera, time, camera), (time, camera, before.time, before.camera)
-        first, second = (self.renderer.render(*half).read("motion") for half in halves)
-        return first, second
-
     def truth(self, time: float, before: RenderedFrame | None = None) -> SceneImage:
         """Return the displayed image at `time`, between rendered frames or at one; motion leads into the rendered frame
         `before`."""
@@ -143,22 +134,17 @@ class EncodedFrames:
         if HALF in encoding.parts:
             self._small = _JitteredSamples(SceneFrames.smaller(device, frames.scene, frames.size, 2.0))
 
-    def encoded(self, frame: RenderedFrame, before: RenderedFrame | None, number: int) -> RenderedFrame:
-        """Return `frame`, number `number`, after being stored; `before`: the one before it, None after a reset. Where
-        encodings are `is_rendered`, frames must come in order."""
-        halves = None
-        if before and self.encoding.looks_up_twice:
-            halves = self.frames.half_motions(frame, before)
+    def encoded(self, frame: RenderedFrame, number: int) -> RenderedFrame:
+        """Return `frame`, number `number`, after being stored. Where encodings are `is_rendered`, frames must come in
+        order."""
         if self.encoding.is_rendered:
             frame = self._rendered(frame, number)
-        return self.encoding.frame(frame, self.frames.scene.exposure, halves)
+        return self.encoding.frame(frame, self.frames.scene.exposure)
 
     def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
         """Yield stored frames as `SceneFrames.sequence` yields exact ones."""
-        before = None
         for k, frame in enumerate(self.frames.sequence(count, fps, start)):
-            yield self.encoded(frame, before, k)
-            before = frame
+            yield self.encoded(frame, k)
 
     def _rendered(self, frame: RenderedFrame, number: int) -> RenderedFrame:
         """Return `frame` antialiased over time, or its geometry jittered, perhaps smaller, or both."""
@@ -220,7 +206,7 @@ def render_sequence(
     before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
     `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
     display. `samples` per pixel: 8 if None, 1 of jittered frames. Rendered frames are stored by `encoding`; truth is
-    exact but for its camera and a user interface. `compression` is that of the EXRs (see `SequenceWriter`).
+    exact but for a user interface. `compression` is that of the EXRs (see `SequenceWriter`).
     `on_frame` is called after every frame. Raises GffeError.
     """
     if frames < 1:
@@ -232,12 +218,15 @@ def render_sequence(
     alphas = [j / (per_frame + 1) for j in range(1, per_frame + 1)]
     if not 1 <= scale <= _MOST_SCALE:
         raise GffeError(f"--scale must be 1 to {_MOST_SCALE}, got {scale:g}")
-    WindowChooser(window, (width, height), alphas)
+    windows = WindowChooser(window, (width, height), alphas)
     jitter = jitter or Jitter()
     if encoding.is_on_display and not (window == "off" and jitter.length == 1 and scale == 1):
         raise GffeError("--encode: taa, jittered, half and hud exclude --window, --jitter and --scale")
     samples = samples or (1 if jitter.length > 1 else 8)
-    job = _Job(scene, (width, height), fps, tuple(alphas), ground_truth, samples, window, jitter, scale, encoding)
+    is_apart = ground_truth and (scale > 1 or jitter.length > 1)
+    truths = SceneRenderer(device, scene, width, height, 8) if is_apart else None
+    exact = SceneFrames.smaller(device, scene, (width, height), scale, samples, jitter, windows, truths)
+    made = EncodedFrames(exact, encoding)
     writing = SequenceWriter(
         output,
         width,
@@ -249,52 +238,17 @@ def render_sequence(
         format=encoding.format,
     )
     with writing as writer:
-        for entry, channels in _rendered(job, frames, device):
-            writer.add(entry, channels)
+        for k, frame in enumerate(exact.sequence(frames, fps)):
+            stored = made.encoded(frame, k)
+            channels = named_channels(stored.color, stored.depth, stored.motion)
+            writer.add(rendered_entry(k, stored, (width, height)), channels)
             on_frame()
+            for alpha in alphas if ground_truth else ():
+                time = (k + alpha) * (1.0 / fps)
+                image = exact.truth(time, frame).numpy()
+                color = encoding.truth(image.color, scene.exposure)
+                file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
+                entry = FrameEntry(file, time, "ground_truth", display_camera=exact.display_camera(time))
+                writer.add(entry, named_channels(color, image.depth, image.motion))
+                on_frame()
     return frames * (1 + len(alphas) * ground_truth)
-
-
-@dataclass(frozen=True)
-class _Job:
-    scene: Scene
-    size: tuple[int, int]  # of the display
-    fps: float
-    alphas: tuple[float, ...]
-    ground_truth: bool
-    samples: int
-    window: str
-    jitter: Jitter
-    scale: float
-    encoding: Encoding
-
-    def frames(self, device: Device) -> SceneFrames:
-        is_apart = self.ground_truth and (self.scale > 1 or self.jitter.length > 1)
-        truths = SceneRenderer(device, self.scene, *self.size, 8) if is_apart else None
-        windows = WindowChooser(self.window, self.size, self.alphas)
-        return SceneFrames.smaller(
-            device, self.scene, self.size, self.scale, self.samples, self.jitter, windows, truths
-        )
-
-
-def _rendered(job: _Job, count: int, device: Device) -> Iterator[tuple[FrameEntry, dict]]:
-    made, before = EncodedFrames(job.frames(device), job.encoding), None
-    for k, frame in enumerate(made.frames.sequence(count, job.fps)):
-        yield from _written(job, made, k, frame, before)
-        before = frame
-
-
-def _written(
-    job: _Job, made: EncodedFrames, k: int, frame: RenderedFrame, before: RenderedFrame | None
-) -> Iterator[tuple[FrameEntry, dict]]:
-    """Yield the written frames for frame `k`, rendered after `before`: the frame and the truth after it."""
-    stored = made.encoded(frame, before, k)
-    yield rendered_entry(k, stored, job.size), named_channels(stored.color, stored.depth, stored.motion)
-    for alpha in job.alphas if job.ground_truth else ():
-        time = (k + alpha) * (1.0 / job.fps)
-        image = made.frames.truth(time, frame).numpy()
-        color = job.encoding.truth(image.color, job.scene.exposure)
-        file = f"truth_{k:06d}_{round(alpha * 1000):04d}.exr"
-        (camera,) = job.encoding.cameras(time, made.frames.display_camera(time))
-        entry = FrameEntry(file, time, "ground_truth", display_camera=camera)
-        yield entry, named_channels(color, image.depth, image.motion)

@@ -294,7 +294,7 @@ def parse_subject(
         return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), encoding=encoding)
     if not Path(text).exists():
         raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
-    if parsed.is_rendered or parsed.looks_up_twice:
+    if parsed.is_rendered:
         raise GffeError(f"{text}: --encode {encoding} needs a renderer (expected a built-in scene)")
     sequence = open_capture(text)
     count = sum(map(len, truths_after(sequence).values()))

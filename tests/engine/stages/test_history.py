@@ -130,7 +130,7 @@ def test_threshold_follows_other_errors(device, kind):
         if kind == "looked up twice" and previous:
             first = scene.frame(cam, k / 30, W, H, (half_ago, (k - 0.5) / 30)).motion
             second = scene.frame(half_ago, (k - 0.5) / 30, W, H, previous).motion
-            frame.motion = Encoding.parse("half-uv").looked_up([first, second])
+            frame.motion = sum(Encoding.parse("half-uv").motion(motion) for motion in (first, second))
         elif kind == "camera off":
             frame.camera = replace(cam, cx=cam.cx + (0.4, -0.3, 0.2)[k], cy=cam.cy - (0.2, 0.3, -0.2)[k])
         pipeline.submit(frame)

@@ -5,11 +5,12 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from device_arrays import copy_to, of_arrays
-from fault_injection import Kept
 from synthetic import Rect, Rects, camera, psnr
+from twins import user_interface as twin
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
-from gffe_cl.captures.doctor import user_interface as twin
+from gffe_cl.captures.offline.run import shows_interface
+from gffe_cl.captures.offline.source import Source
 from gffe_cl.captures.sequence.encoding import user_interface, with_ui
 from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.stages.base import Board
@@ -125,12 +126,20 @@ def test_export_refuses_it(device):
         record(device, FINDS, False)
 
 
-def test_its_share_and_whether_a_clip_shows_it():
-    """With the share; not of color without it, nor if it is masked."""
-    made, plain = list(frames(3)), list(frames(3, change=lambda color: color))
-    assert twin.shows_interface(Kept(made)) and not twin.shows_interface(Kept(plain))
-    share = twin.interface_share(made, 1.0)
-    assert 0.5 * OPAQUE.mean() < share < (UI[..., 3] > 0).mean() + 0.05
-    masked = [replace(frame, overlays=Overlays(fixed_mask=UI[..., 3] > 0)) for frame in made]
-    assert twin.interface_share(masked, 1.0) < 0.3 * share
-    assert twin.interface_share([replace(made[0]), replace(made[1], motion=None), made[2]], 1.0) == 0
+class Shown(Source):
+    exposure, render_size, count = 1.0, (W, H), 3
+
+    def __init__(self, change, mask=None):
+        overlays = None if mask is None else Overlays(fixed_mask=mask)
+        self._frames = [replace(frame, overlays=overlays) for frame in frames(3, change)]
+
+    def rendered(self, k):
+        return self._frames[k]
+
+
+def test_whether_a_clip_shows_it(device):
+    """Not if its color has none, nor where most of it is masked."""
+    assert shows_interface(Shown(lambda color: with_ui(color, UI)), device)
+    assert not shows_interface(Shown(lambda color: color), device)
+    masked = Shown(lambda color: with_ui(color, UI), twin.window_sums(UI[..., 3] > 0, 2) > 0)
+    assert not shows_interface(masked, device)

@@ -1,17 +1,14 @@
-"""User interface in the color, found in frames in memory as kernels/user_interface.cl finds it on a device."""
+"""The twin of kernels/user_interface.cl."""
 
 from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.doctor.samples import Clip
-from gffe_cl.engine.frame.rendered_frame import HALF_MAX, RenderedFrame
+from gffe_cl.engine.frame.rendered_frame import HALF_MAX
 from gffe_cl.engine.opencl.program import constants
 
 _C = {name: np.float32(value) for name, value in constants("user_interface.cl").items()}
 PAIRS, LEAST, AROUND = (int(_C[name]) for name in ("PAIRS", "LEAST_MARKED", "MARKED_AROUND"))
-_LEAST_SHARE = 0.002  # of the pixels
-_FRAMES, _RUNS = 5, 3  # first frames, and runs of three of them that are looked at
 
 
 def count_evidence(
@@ -47,30 +44,6 @@ def user_interface_mask(evidence: np.ndarray) -> np.ndarray:
     sure = evidence == PAIRS
     sure &= window_sums(sure, AROUND) >= LEAST
     return window_sums(sure, 1) > 0
-
-
-def shows_interface(clip: Clip, exposure: float = 1.0) -> bool:
-    """Return whether the first frames of `clip` have a user interface in the color. Raises GffeError if a frame cannot
-    be read."""
-    entries = clip.rendered[:_FRAMES]
-    runs = [k for k in range(1, len(entries) - 1) if not (entries[k].reset or entries[k + 1].reset)]
-    shares = [interface_share([clip.read(entries[k + step]) for step in (-1, 0, 1)], exposure) for k in runs[:_RUNS]]
-    return max(shares, default=0.0) >= _LEAST_SHARE
-
-
-def interface_share(frames: list[RenderedFrame], exposure: float) -> float:
-    """Return the share of the pixels that show a user interface in all of consecutive `frames`, three or more of one
-    size; masked ones do not count."""
-    if len({np.shape(frame.depth) for frame in frames}) > 1 or any(frame.motion is None for frame in frames[1:]):
-        return 0.0
-    evidence = np.zeros(np.shape(frames[0].depth), np.uint8)
-    for before, frame in zip(frames, frames[1:], strict=False):
-        geometry = frame.depth, before.depth, np.asarray(frame.motion)
-        evidence = count_evidence(evidence, frame.color, before.color, *geometry, exposure)
-    found = user_interface_mask(evidence)
-    if frames[-1].overlays is not None and frames[-1].overlays.fixed_mask is not None:
-        found &= np.asarray(frames[-1].overlays.fixed_mask) == 0
-    return float(found.mean())
 
 
 def window_sums(mask: np.ndarray, reach: int) -> np.ndarray:
