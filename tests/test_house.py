@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 38_597,
     "viewer": 12_289,
     "kernels": 10_185,
-    "tests": 29_387,
+    "tests": 28_707,
     "docs/tools": 3_589,
     "docs/examples": 1_822,
     "docs/*.md": 4_401,

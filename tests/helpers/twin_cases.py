@@ -71,12 +71,3 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
         pipeline.stages["sharpness"].upload("sharpness", np.array([SHARPNESS], np.float32))
     to = camera(*(target or (width, height)), (0.35, 0.07, 0.6), 0.075, 0.045, 0.035)
     return Case(pipeline, now, past, to, pipeline.extrapolate(to, now.time + 0.02))
-
-
-def assert_close(got, expected):
-    """Values are equal, but for those (1 in 1000) where a rounding of the device's division differs by 1e-5."""
-    same = (got == expected) | (np.isnan(got) & np.isnan(expected))
-    assert (~same).sum() <= same.size // 1000, f"{(~same).sum()} of {same.size} values differ"
-    both = np.isfinite(got) & np.isfinite(expected)
-    np.testing.assert_allclose(got[both].astype(np.float64), expected[both].astype(np.float64), rtol=1e-5, atol=1e-5)
-    assert np.array_equal(np.isfinite(got), np.isfinite(expected))

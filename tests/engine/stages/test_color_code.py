@@ -8,7 +8,7 @@ import synthetic
 import tiny_frames
 import twins
 from twin_cases import frames, run
-from twins import codes_of, decode_color, encode_color
+from twins import codes_of, encode_color
 
 from gffe_cl import Camera, Options, Pipeline, RenderedFrame
 from gffe_cl.engine.inference.network import PACKAGED
@@ -23,7 +23,7 @@ def test_kernel_equals_its_twin(device, resampling, monkeypatch):
     case = run(device, 61, 37, Options(resampling=resampling, blocks=False))
     codes, color = case.pipeline.stages["color_code"].read("codes")[..., :3], case.now.color
     if resampling == "linear":
-        monkeypatch.setattr(twins.common, "CODE_OFFSET", np.float32(0))
+        monkeypatch.setattr(twins, "CODE_OFFSET", np.float32(0))
     # A root that the device rounds otherwise may end in the next half.
     np.testing.assert_allclose(codes.astype(np.float32), codes_of(color).astype(np.float32), rtol=1e-3, atol=1e-7)
     assert (codes.view(np.uint16) == codes_of(color).view(np.uint16)).mean() > 0.999
@@ -83,11 +83,9 @@ def test_a_frame_keeps_its_exposure(device):
     assert np.array_equal(seen[:3], seen[3:])
 
 
-def test_bright_colors_come_back_and_weigh_less():
-    """Codes as halfs keep every color to 0.3%, and their order; a lamp 24 times as bright as white has less than a
-    third of the code it would have in linear light."""
-    color = np.geomspace(1e-3, 6e4, 2000).astype(np.float32)
-    codes = encode_color(color).astype(np.float16)
+def test_bright_colors_weigh_less():
+    """Codes as halfs keep the order of colors; a lamp 24 times as bright as white has less than a third of the code it
+    would have in linear light. `test_codes_are_halves_at_every_exposure` decodes them."""
+    codes = encode_color(np.geomspace(1e-3, 6e4, 2000).astype(np.float32)).astype(np.float16)
     assert (np.diff(codes.astype(np.float32)) >= 0).all()
-    np.testing.assert_allclose(decode_color(codes), color, rtol=3e-3)
     assert encode_color(1.0) == 1.0 and encode_color(24.0) < 8.0

@@ -5,16 +5,11 @@ from dataclasses import replace
 import numpy as np
 import pyopencl as cl
 import pytest
-import twins
-from device_arrays import copy_to, of_arrays
 from synthetic import Rect, Rects, camera, psnr
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
-from gffe_cl.engine.stages.base import Board
-from gffe_cl.engine.stages.buffers import BY_FIXED, DeviceFrame, Sizes
-from gffe_cl.engine.stages.frame_block import mapping
-from gffe_cl.engine.stages.presentation import Composition
+from gffe_cl.engine.stages.buffers import BY_FIXED
 
 W, H = 96, 64
 GAE = Options(shading_correction=False)
@@ -48,56 +43,6 @@ def played(device, options=GAE, change=lambda frame: frame, frames=4, overlays=l
         frame = SCENE.frame(panning(k), k / 30, W, H, before, reset=k == 0)
         pipeline.submit(replace(change(frame), overlays=overlays(k)))
     return pipeline
-
-
-@pytest.mark.parametrize("size, render_size", [((32, 20), (32, 20)), ((29, 17), (24, 31))])
-@pytest.mark.parametrize(
-    "names", ["fixed_mask", "effects", "effects effects_motion", "ui", "fixed_mask effects effects_motion ui"]
-)
-def test_kernel_equals_its_twin(device, size, render_size, names):
-    """Color within half's rounding, the rest exactly; NaN and infinity included, and motion out of the image."""
-    rng = np.random.default_rng(5)
-    width, height = render_size
-
-    def image(shape, channels, dtype):
-        return rng.uniform(-0.2, 1.2, (*shape[::-1], channels)).astype(dtype)
-
-    given = {
-        "fixed_mask": (rng.random((height, width)) < 0.4).astype(np.uint8),
-        "effects": image(render_size, 4, np.float16),
-        "effects_motion": rng.normal(0, 6, (height, width, 2)).astype(np.float32),
-        "ui": image(size, 4, np.float16),
-    }
-    given["effects"][3, 4], given["ui"][2, 2, 3], given["effects_motion"][5, 5] = np.nan, np.nan, np.nan
-    given["effects"][6, 6, 0], given["effects_motion"][7, 7] = np.inf, 1e9
-    layers = {name: given[name] for name in names.split()}
-    color, source_color = image(size, 4, np.float16), image(render_size, 4, np.float16)
-    depth = rng.choice([1.5, np.inf, np.nan], (height, width)).astype(np.float32)
-    display = camera(*size)
-    through = replace(display.scaled(*np.divide(render_size, size) * 0.9), cx=width * 0.48, cy=height * 0.53)
-
-    board = Board(device, Sizes(render_size, size))
-    stage = Composition(board)
-    source = DeviceFrame.allocate(device, render_size, through, display, 0.0)
-    copy_to(device, source, of_arrays(source_color, depth, np.zeros((height, width, 2), np.float32)))
-    frame = {s.name: rng.integers(0, 9, s.shape(board.sizes)).astype(s.dtype) for s in board.frame.buffers}
-    for name, array in frame.items():
-        board.frame.upload(name, array)
-    on_device = device.buffer(color.nbytes)
-    cl.enqueue_copy(device.queue, on_device, color)
-    taken = stage.take(stage.prepared(Overlays(**layers)), source)
-    stage.compose(on_device, 0.75)
-
-    if "fixed_mask" in layers:
-        left = np.empty((height, width), np.float32)
-        cl.enqueue_copy(device.queue, left, taken.depth)
-        np.testing.assert_array_equal(left, np.where(layers["fixed_mask"], np.nan, depth))
-    expected = twins.compose(color, frame, source_color, depth, mapping(display, through), 0.75, layers)
-    # Sums of four products in another order, rounded to half.
-    np.testing.assert_allclose(stage.read("color").astype(float), expected.astype(float), rtol=2e-3, atol=1e-3)
-    for name in ("depth", "dynamic", "disoccluded", "filled_by"):
-        np.testing.assert_array_equal(board.frame.read(name), frame[name])
-    np.testing.assert_allclose(board.frame.read("motion"), frame["motion"], atol=1e-5)
 
 
 @pytest.mark.parametrize("windowed", [False, True])

@@ -1,8 +1,7 @@
-"""Input of the shading correction network: the median of depth."""
+"""Input of the shading correction network: encoded color, and the median of depth."""
 
 import numpy as np
 import pytest
-import twins
 from network_stages import made_stages, put
 
 
@@ -25,4 +24,15 @@ def test_median_depth(device, depth, expected):
     put(board.frame, depth=depth)
     stage.extrapolated(step)
     assert stage.read("median_depth") == pytest.approx(expected, rel=1 / 200, abs=1e-40)
-    assert stage.read("median_depth") == twins.depth_median(depth)
+
+
+@pytest.mark.parametrize("exposure", [1.0, 0.01, 30.0])
+def test_colors_are_encoded_by_the_mu_law(device, exposure):
+    board, _, step = made_stages(device, (128, 64), exposure)
+    color = np.r_[0, np.logspace(-6, np.log10(65504), 2047)].astype(np.float16).reshape(32, 64)
+    put(board.frame, color=np.stack([color.repeat(2, 0).repeat(2, 1)] * 4, -1))
+    stage = board.stages["network_input"]
+    stage.extrapolated(step)
+    exact = np.log1p(5000 * exposure / 8 * color.astype(np.float64)) / np.log1p(5000)
+    for plane in stage.read("frames")[:3, :32, :64]:
+        np.testing.assert_allclose(plane, exact, rtol=3e-7, atol=2e-8)

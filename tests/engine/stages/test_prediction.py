@@ -2,7 +2,7 @@
 
 import numpy as np
 from synthetic import Rect, Rects, camera
-from twins.common import centers
+from twins import centers
 
 from gffe_cl import Options, Pipeline
 

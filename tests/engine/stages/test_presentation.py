@@ -4,20 +4,13 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import twins
-from device_arrays import copy_to, of_arrays
 from synthetic import Rect, Rects, camera, psnr
-from twin_cases import assert_close
-from twins.common import centers
+from twins import centers
 
 from gffe_cl import Camera, GffeError, Options, Overlays, Pipeline, RenderedFrame, fixed_window, present
 from gffe_cl.engine.frame.rendered_frame import require_one_pose
 from gffe_cl.engine.frame.window import FULL, Window
 from gffe_cl.engine.stages.background import REMEMBERED
-from gffe_cl.engine.stages.base import Board
-from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.frame_block import mapping
-from gffe_cl.engine.stages.presentation import Presentation
 
 W, H = 96, 64
 SCENE = Rects(
@@ -38,32 +31,6 @@ def rendered(scene, display, window, time, previous=None, size=(W, H), render_si
 
 def turning(k):
     return camera(W, H, (0.05 * k, 0.01 * k, 0.02 * k), yaw=0.03 * k)
-
-
-@pytest.mark.parametrize("size, render_size", [((64, 48), (64, 48)), ((61, 37), (50, 64))])
-@pytest.mark.parametrize("window", [Window(-1, -1.1, 1.3, 1.2), Window(-0.8, -0.9, 0.7, 0.95)])
-def test_kernel_equals_its_twin(device, size, render_size, window):
-    """Color within half's rounding, depth exactly, motion within float's; bad pixels and borders included."""
-    rng = np.random.default_rng(3)
-    width, height = render_size
-    color = rng.uniform(0, 9, (height, width, 4)).astype(np.float16)
-    color[5, 7], color[9, 3], color[20, 20] = np.nan, np.inf, -np.inf
-    color[30:36, 30:40] *= -1e-7  # negative, and denormal as half
-    depth = rng.choice([1.5, 7.0, np.inf, np.nan], (height, width)).astype(np.float32)
-    motion = rng.uniform(-9, 9, (height, width, 2)).astype(np.float32)
-    motion[3, 3] = np.nan
-    display, before = camera(*size), camera(*size, yaw=0.1)
-    through = window.camera(display, size, render_size)
-    maps = (mapping(display, through), mapping(through, display), mapping(before, before.scaled(1.3, 1.1)))
-    stage = Presentation(Board(device, Sizes(render_size, size)))
-    frame = DeviceFrame.allocate(device, render_size, through, display, 0.0)
-    copy_to(device, frame, of_arrays(color, depth, motion))
-    previous = replace(frame, camera=before, display_camera=before.scaled(1.3, 1.1))
-    stage.present(frame, previous)
-    expected = twins.present(color, depth, motion, size, *maps)
-    assert_close(stage.read("color")[..., :3], expected[0][..., :3])
-    assert stage.read("depth").tobytes() == expected[1].tobytes()
-    np.testing.assert_allclose(stage.read("motion"), expected[2], atol=2e-5 * max(render_size))
 
 
 def test_a_full_window_is_bit_exact(device):

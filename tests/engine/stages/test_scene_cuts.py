@@ -4,10 +4,7 @@ from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
-import pytest
 from synthetic import Rect, Rects, camera
-from twin_cases import frames
-from twins import scene_cuts as twins_cuts
 
 from gffe_cl.captures.offline.run import run_sequence
 from gffe_cl.captures.offline.source import Recorded
@@ -15,8 +12,6 @@ from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.engine.frame.rendered_frame import host_arrays
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.engine.stages.buffers import CUT_SAMPLES
-from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.measures import COUNTED, counts_say_cut
 from gffe_cl.lab.compare import compare
 from gffe_cl.viewer.engine.messages import Recipe, Setup
@@ -49,29 +44,6 @@ def found(device, given, options=None):
         if pipeline.is_cut:
             cuts.append(k)
     return cuts
-
-
-@pytest.mark.parametrize("size", [(61, 37), (48, 33), (130, 71)])
-def test_kernel_counts_as_its_twin(device, size):
-    """All integers; a sample at a threshold may fall to either side where a division rounds otherwise."""
-    seen = list(frames(*size))
-    pipeline = Pipeline(device, *size)
-    for frame in seen:
-        pipeline.submit(frame)
-    past, now = seen[-2:]
-    expected = twins_cuts.counts(
-        now.color,
-        now.depth,
-        now.motion,
-        past.color,
-        past.depth,
-        reprojection(now.camera, past.camera),
-        float(np.linalg.norm(now.camera.position - past.camera.position)),
-    )
-    rows = pipeline.stages["scene_cuts"].read("counts")[: min(size[1], CUT_SAMPLES[1])]
-    counted = dict(zip(COUNTED, rows.sum(0).tolist(), strict=True))
-    assert all(abs(counted[name] - expected[name]) <= 2 for name in COUNTED), (counted, expected)
-    assert expected["valid"] > expected["inside"] > expected["depth_right"] > 0 < expected["contrast_right"]
 
 
 def test_a_cut_to_another_scene_is_a_reset(device):

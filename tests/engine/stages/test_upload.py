@@ -1,30 +1,25 @@
-"""NumPy arrays on their way to the device: the bits of the twin, and its counts of bad pixels."""
+"""NumPy arrays on their way to the device: their bits, and the counts of bad pixels."""
+
+import json
+from dataclasses import replace
 
 import numpy as np
 import pyopencl as cl
 import pytest
-import twins
-from device_arrays import of_arrays
+from recorded_bits import CONVERTING, DESCRIPTIONS, PATH, converted_digest, in_buffers, read_frame
 from synthetic import camera
 
 from gffe_cl import FrameFormat, Options, Pipeline, RenderedFrame
 from gffe_cl.captures.sequence.encoding import nearest_motion
-from gffe_cl.engine.frame.frame_format import (
-    CAMERA_MOTIONS,
-    COLOR_TYPES,
-    DEPTH_TYPES,
-    DEPTHS,
-    MOTION_TYPES,
-    TYPES,
-    conversion,
-)
+from gffe_cl.captures.sequence.engine_form import described_frame, undilated
+from gffe_cl.engine.frame.frame_format import CAMERA_MOTIONS, DEPTHS, TYPES, jitter_in_color
 from gffe_cl.engine.frame.rendered_frame import BadPixels, host_arrays
 from gffe_cl.engine.opencl.program import constants
-from gffe_cl.engine.stages.base import Board, Step
+from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
-from gffe_cl.engine.stages.frame_block import reprojection
 from gffe_cl.engine.stages.upload import Upload
 
+RECORDED = json.loads(PATH.read_text())["converted"]
 SIZES = [(1, 1), (3, 70), (37, 21), (64, 4), (249, 5)]  # one more than eight lanes have in a run
 
 
@@ -63,6 +58,37 @@ def geometry(rng, size):
     return depth, rng.choice(vectors, (*size[::-1], 2)).astype(np.float32)
 
 
+def convert_color(color):
+    """Return (H, W, 4) float16 from (H, W, 3 or 4) half or float, with 0 in the fourth channel; how many pixels hold
+    NaN or infinity; and how many were clamped."""
+    rgb = color[..., :3].astype(np.float32)
+    finite = np.isfinite(rgb)
+    out = np.zeros((*color.shape[:2], 4), np.float16)
+    out[..., :3] = np.clip(np.where(np.isnan(rgb), 0, rgb), -65504, 65504)
+    return out, (~finite).any(-1).sum(), (finite & (np.abs(rgb) > 65504)).any(-1).sum()
+
+
+def convert_geometry(depth, motion):
+    """Return depth without denormal numbers and with sky beyond 1e37, motion without vectors as long as the diagonal,
+    and how many depths are invalid, how many vectors not finite, how many depths too far, and how many vectors too
+    long."""
+    invalid, far = ~(depth >= np.finfo(np.float32).tiny), np.isfinite(depth) & (depth > 1e37)
+    finite = np.isfinite(motion).all(-1)
+    with np.errstate(over="ignore", invalid="ignore"):
+        long = finite & (np.square(motion).sum(-1) >= np.square(depth.shape).sum())
+    converted = np.where(far, np.float32(np.inf), np.where(invalid & (depth >= 0), np.float32(0), depth))
+    return (
+        converted,
+        np.where(long[..., None], np.float32(np.nan), motion),
+        (
+            invalid.sum(),
+            (~finite).sum(),
+            far.sum(),
+            long.sum(),
+        ),
+    )
+
+
 def taken(stage, frame):
     """What lies on the device then."""
     on_device = DeviceFrame.allocate(stage.device, stage.sizes.source, frame.camera, frame.camera, frame.time)
@@ -76,7 +102,7 @@ def taken(stage, frame):
 
 @pytest.mark.parametrize("size", SIZES, ids=str)
 @pytest.mark.parametrize("dtype", [np.float16, np.float32])
-def test_upload_equals_its_twin(device, stage_of, size, dtype):
+def test_arrays_are_converted(device, stage_of, size, dtype):
     """All forms of arrays that are taken as they are, one after another in the same stage."""
     stage, rng, view = stage_of(size), np.random.default_rng(size), camera(*size)
     for channels in (3, 4):
@@ -84,8 +110,8 @@ def test_upload_equals_its_twin(device, stage_of, size, dtype):
             color = colors(rng, size, channels, dtype)[..., :shown]
             depth, motion = geometry(rng, size)
             frame = RenderedFrame(color, depth, motion, view, 0.0)
-            expected, infinite, clamped = twins.convert_color(color)
-            *geometry_expected, counts = twins.convert_geometry(depth, motion)
+            expected, infinite, clamped = convert_color(color)
+            *geometry_expected, counts = convert_geometry(depth, motion)
             found = taken(stage, frame)
             assert found[0].tobytes() == expected.tobytes()
             for array, like in zip(found[1:], geometry_expected, strict=True):
@@ -108,7 +134,7 @@ def test_other_types_are_rounded_once(device, stage_of, dtype):
     found = taken(stage_of(size), frame)
     rgb = np.clip(np.nan_to_num(color, posinf=65504, neginf=-65504), -65504, 65504).astype(np.float16)
     assert found[0][..., :3].tobytes() == rgb.tobytes() and not found[0][..., 3].any()
-    for array, like in zip(found[1:], twins.convert_geometry(depth, motion), strict=False):
+    for array, like in zip(found[1:], convert_geometry(depth, motion), strict=False):
         np.testing.assert_array_equal(array, like)
 
 
@@ -121,8 +147,8 @@ def test_layouts_that_must_be_copied(device, stage_of):
     unaligned = np.frombuffer(b"-" + depth.tobytes(), np.float32, offset=1).reshape(depth.shape)
     motion.flags.writeable = False
     found = taken(stage, RenderedFrame(color, unaligned, motion, view, 0.0))
-    assert found[0].tobytes() == twins.convert_color(color)[0].tobytes()
-    for array, like in zip(found[1:], twins.convert_geometry(depth, motion), strict=False):
+    assert found[0].tobytes() == convert_color(color)[0].tobytes()
+    for array, like in zip(found[1:], convert_geometry(depth, motion), strict=False):
         np.testing.assert_array_equal(array, like)
 
 
@@ -159,149 +185,71 @@ def test_values_that_were_never_written_are_unknown(device):
     np.testing.assert_array_equal(made["unknown"], made["never written"])
 
 
-def stored(rng, size, type_name, *channels):
-    """Values of a type, with those that mean something else."""
-    dtype, shape = TYPES[type_name][0], (*size[::-1], *channels)
-    if np.dtype(dtype).kind != "f":
-        limits = np.iinfo(dtype)
-        values, others = rng.integers(limits.min, limits.max, shape, dtype, endpoint=True), [0, limits.max]
-    else:
-        values, others = rng.uniform(-0.1, 1, shape), [0, 1, np.nan, np.inf, -np.inf, 1e30, 1e-41]
-    with np.errstate(over="ignore"):
-        return np.where(rng.random(shape) < 0.1, rng.choice(others, shape), values).astype(dtype)
+@pytest.mark.parametrize("name", DESCRIPTIONS)
+def test_described_frames_leave_the_recorded_bits(device, lanes, name):
+    """All types of values, in arrays and in buffers, with and without a frame before, and the counts of bad pixels."""
+    assert converted_digest(device, DESCRIPTIONS[name]) == RECORDED[name]
 
 
-DESCRIPTIONS = {
-    "plain": FrameFormat(),
-    "OpenXR": FrameFormat.openxr(
-        nearZ=np.inf, farZ=0.3, motionVectorScale=(2, 3, 1, 0), motionVectorOffset=(-1, 0.1, 0, 0), motion_invalid=1.0,
-        motion_jittered=True, geometry_size=(61, 33), color_size=(61, 33),
-    ),
-    "logarithmic": FrameFormat(depth="logarithmic", near_z=0.02, far_z=3000),
-    "logarithmic of 1 + z, reversed": FrameFormat(depth="logarithmic", near_z=0, far_z=500, depth_range=(0.9, -0.1)),
-    "movers only": FrameFormat(
-        depth="device", near_z=0.1, far_z=50, motion_unit="uv", motion_y="up", motion_invalid=0.0,
-        camera_motion="movers_only",
-    ),
-    "sRGB from below, distances": FrameFormat(
-        rows="up", color_encoding="srgb", depth="distance", depth_scale=0.01, motion_unit="uv"
-    ),
-    "distances after a map": FrameFormat(depth="distance", near_z=1, far_z=900, depth_range=(1, 0), depth_scale=3),
-    "excluded": FrameFormat(near_z=2, far_z=9, rows="up", motion_direction="from_previous", camera_motion="excluded"),
-}  # fmt: skip
-
-
-@pytest.mark.parametrize("described", DESCRIPTIONS)
-def test_described_frames_equal_their_twin(device, stage_of, described):
-    """All types, one after another in the same stage, in arrays and in buffers, with and without a frame before."""
-    size, rng, format = (61, 33), np.random.default_rng(9), DESCRIPTIONS[described]
-    stage, now, before = stage_of(size), camera(*size, (0.3, -0.1, 0.6), 0.1), camera(*size, (0, 0, 0), -0.05, 0.04)
-    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    previous = DeviceFrame.allocate(device, size, before, before, 0.0)
-    types = zip(2 * COLOR_TYPES, 2 * (*DEPTH_TYPES, "float32"), (*MOTION_TYPES, None, *MOTION_TYPES[1:]), strict=False)
-    for number, names in enumerate(types):
-        types = dict(zip(("color", "depth", "motion"), names, strict=True))
-        channels = {"color": 3 + number % 2, "motion": 2 + number % 3}
-        color, depth = stored(rng, size, types["color"], channels["color"]), stored(rng, size, types["depth"])
-        motion = types["motion"] and stored(rng, size, types["motion"], channels["motion"])
-        given = conversion(format, size, types, channels, (0.2, -0.4), (-0.3, 0.1))
-        taken = DeviceFrame.allocate(device, size, now, now, 0.1)
-        last = previous if number % 3 else None
-        step = Step(taken, last, [0.1, 0.0][: 1 + bool(last)], given=given)
-        if number % 2 and channels["motion"] == 2:
-            stage.take(of_arrays(color, depth, motion), taken, step=step)
-        else:
-            arrays = {"color": color, "depth": depth} | ({} if motion is None else {"motion": motion})
-            buffers = {name: cl.Buffer(device.context, flags, hostbuf=array) for name, array in arrays.items()}
-            stage.convert(buffers, taken, step)
-        rgb, infinite, clamped = twins.convert_described_color(color, given)
-        to_previous = reprojection(now, before) if last else None
-        vectors = None if motion is None else motion[..., :2]
-        inverse = reprojection(now, now)[4]
-        z, moved, counts = twins.convert_described_geometry(depth, vectors, given, to_previous, source_inverse=inverse)
-        found = [np.empty_like(array) for array in (rgb, z, moved)]
-        for array, buffer in zip(found, taken.buffers, strict=True):
-            cl.enqueue_copy(device.queue, array, buffer)
-        assert found[0].tobytes() == rgb.tobytes(), names
-        np.testing.assert_array_equal(found[1], z, err_msg=str(names))
-        np.testing.assert_array_equal(found[2], moved, err_msg=str(names))
-        assert stage.take_bad_pixels() == BadPixels(infinite, clamped, *counts), names
-
-
-def of_regions(rng, size):
-    """Color, depth and motion with edges: of each its own regions, noise within them, and numbers that are none."""
+def of_regions(rng, size, format):
+    """Depth and motion as an engine stores them: of each its own regions, and noise within them."""
     x, y = np.meshgrid(*(np.arange(n) for n in size))
-    region = ((x + y // 2) // 5 + y // 7) % 4
-    color = np.array([0, 0.1, 0.8, 9])[region][..., None] * rng.uniform(0.8, 1.2, (*size[::-1], 3))
-    depth = np.array([2.0, 2.01, 7, np.inf])[region] * rng.uniform(0.99, 1.01, size[::-1])
-    motion = rng.normal(np.array([0, 3, 7, -2])[region][..., None], 1, (*size[::-1], 2))
-    color[rng.random(size[::-1]) < 0.02], depth[rng.random(size[::-1]) < 0.02] = np.nan, 0
-    motion[rng.random(size[::-1]) < 0.02] = np.nan
-    return color.astype(np.float16), depth.astype(np.float32), motion.astype(np.float32)
+    region, (low, high) = ((x + y // 2) // 5 + y // 7) % 4, format.depth_range
+    shares = np.array([0.2, 0.201, 0.5, 0.8])[region] * rng.uniform(0.99, 1.01, size[::-1])
+    motion = rng.normal(np.array([0, 0.06, 0.14, -0.04])[region][..., None], 0.02, (*size[::-1], 2))
+    if format.motion_invalid is not None:
+        motion[::3, ::2] = format.motion_invalid
+    return (low + shares * (high - low)).astype(np.float32), motion.astype(np.float32)
 
 
-@pytest.mark.parametrize(
-    ("size", "geometry"),
-    [((61, 33), (31, 17)), ((61, 33), (61, 11)), ((250, 7), (84, 6)), ((3, 2), (1, 1)), ((61, 33), (41, 22))],
-    ids=str,
-)
-def test_smaller_geometry_equals_its_twin(device, stage_of, size, geometry):
-    """Bit for bit, in arrays and in buffers; bad pixels are counted once, those of the frame before not at all."""
-    rng, now, before = np.random.default_rng(5), camera(*size, (0.3, -0.1, 0.6), 0.1), camera(*size)
-    stage, format = stage_of(size), FrameFormat(camera_motion="movers_only", motion_invalid=-3.0)
-    color, (_, depth, motion) = of_regions(rng, size)[0], of_regions(rng, geometry)
-    motion[::3, ::2] = -3
-    types = {"color": "float16", "depth": "float32", "motion": "float32"}
-    given = conversion(format, size, types, {"color": 3, "motion": 2}, (0.6, -0.9), (0.1, 0.0), geometry)
-    previous, taken = (DeviceFrame.allocate(device, size, view, view, 0.0) for view in (before, now))
-    rgb, *bad_colors = twins.convert_color(color)
-    small = twins.convert_described_geometry(depth, motion, given, reprojection(now, before), size[::-1])
-    expected = twins.spread_geometry(rgb, *small[:2], given)
-    flags = cl.mem_flags.READ_ONLY | cl.mem_flags.COPY_HOST_PTR
-    for of_host in (True, False):
-        step = Step(taken, previous, [0.1, 0.0], given=given)
-        if of_host:
-            whole = conversion(format, size, types, {"color": 3, "motion": 2})
-            many = np.full(size[::-1], -1, np.float32), np.full((*size[::-1], 2), np.nan, np.float32)
-            stage.take(of_arrays(color, *many), taken, step=Step(taken, None, [0.0], given=whole))
-            assert stage.take_bad_pixels() == BadPixels(*bad_colors, many[0].size, many[0].size)
-            stage.take(of_arrays(color, depth, motion), taken, step=step)
-        else:
-            arrays = {"color": color, "depth": depth, "motion": motion}
-            buffers = {name: cl.Buffer(device.context, flags, hostbuf=array) for name, array in arrays.items()}
-            stage.convert(buffers, taken, step)
-        assert stage.take_bad_pixels() == BadPixels(*bad_colors, *small[2])
-        for array, buffer in zip(expected, (taken.depth, taken.motion), strict=True):
-            found = np.empty_like(array)
-            cl.enqueue_copy(device.queue, found, buffer)
-            np.testing.assert_array_equal(found, array)
+SMALLER = FrameFormat(motion_unit="color_pixels")
+DILATED = replace(SMALLER, motion_dilated=True)
+FORMS = {
+    **{f"{name}, {size}": (format, size, size) for name, format in DESCRIPTIONS.items() for size in [(61, 33)]},
+    **{
+        f"{'dilated' if format is DILATED else 'smaller'}, {geometry}": (format, size, geometry)
+        for format in (SMALLER, DILATED)
+        for size, geometry in (
+            ((61, 33), (31, 17)),
+            ((61, 33), (61, 11)),
+            ((250, 7), (84, 6)),
+            ((3, 2), (1, 1)),
+            ((61, 33), (41, 22)),
+        )
+    },
+    "dilated": (DILATED, (61, 33), (61, 33)),
+}
 
 
+@pytest.mark.parametrize("form", FORMS)
 @pytest.mark.parametrize("has_previous", [True, False])
-@pytest.mark.parametrize(
-    ("size", "geometry"), [((61, 33), (61, 33)), ((61, 33), (31, 17)), ((4, 3), (4, 3)), ((3, 2), (1, 1))], ids=str
-)
-def test_undone_dilation_equals_its_twin(device, stage_of, size, geometry, has_previous):
-    """Bit for bit, also of geometry that is spread afterwards."""
-    rng, now, before = np.random.default_rng(11), camera(*size, (0.3, -0.1, 0.6), 0.1), camera(*size)
-    stage, format = stage_of(size), FrameFormat(motion_dilated=True)
-    color, (_, depth, motion) = of_regions(rng, size)[0], of_regions(rng, geometry)
-    depth[rng.random(depth.shape) < 0.02] = np.inf
-    types = {"color": "float16", "depth": "float32", "motion": "float32"}
-    given = conversion(format, size, types, {"color": 3, "motion": 2}, (0.6, -0.9), (0.1, 0.0), geometry)
-    previous, taken = (DeviceFrame.allocate(device, size, view, view, 0.0) for view in (before, now))
-    rgb, _, _ = twins.convert_color(color)
-    to_previous = reprojection(now, before)
-    z, moved, _ = twins.convert_described_geometry(depth, motion, given, to_previous, size[::-1])
-    static = twins.motion_by_camera(z, given, to_previous)
-    made = twins.undilated(moved, z, static if has_previous else None)
-    expected = (z, made) if geometry == size else twins.spread_geometry(rgb, z, made, given)
-    step = Step(taken, previous if has_previous else None, [0.1, 0.0][: 1 + has_previous], given=given)
-    stage.take(of_arrays(color, depth, motion), taken, step=step, is_dilated=True)
-    for array, buffer in zip(expected, (taken.depth, taken.motion), strict=True):
-        found = np.empty_like(array)
-        cl.enqueue_copy(device.queue, found, buffer)
-        np.testing.assert_array_equal(found, array)
+def test_device_and_host_convert_alike(device, lanes, form, has_previous):
+    """Within rounding, and to the bit where geometry is smaller and dilation is undone, but for what the camera adds;
+    in arrays and in buffers."""
+    (format, size, geometry), rng = FORMS[form], np.random.default_rng(5)
+    to_the_bit = format in (SMALLER, DILATED)
+    format = replace(format, geometry_size=geometry, color_size=size, motion_type="float32", motion_channels=2)
+    views = camera(*size), camera(*size, (0.3, -0.1, 0.6), 0.1)
+    color = rng.choice([0, 0.1, 0.8, 1], (*size[::-1], 4)) * rng.uniform(0.8, 1, (*size[::-1], 4))
+    made = []
+    for k, view in enumerate(views):
+        jitter = (0.2 + 0.3 * k, -0.4)
+        arrays = color.astype(np.float16), *of_regions(rng, geometry, format)
+        made.append(RenderedFrame(*arrays, view, k / 30, reset=not k or not has_previous, geometry_jitter=jitter))
+    expected = described_frame(
+        made[1], format, views[0] if has_previous else None, jitter_in_color(made[0].geometry_jitter, size, geometry)
+    )
+    for frames in (made, [in_buffers(device, frame) for frame in made]):
+        pipeline = Pipeline(device, *size, CONVERTING, format=format)
+        for frame in frames:
+            pipeline.submit(frame)
+        rgb, depth, motion = read_frame(device, pipeline.frames.current, size)
+        np.testing.assert_allclose(rgb[..., :3], expected.color[..., :3], rtol=2e-3, atol=1e-6)
+        np.testing.assert_allclose(depth, expected.depth, rtol=2e-5)
+        np.testing.assert_allclose(motion, expected.motion, rtol=2e-5, atol=2e-3)
+        if to_the_bit:
+            same = (motion == expected.motion).all(-1)
+            assert np.array_equal(depth, expected.depth) and (same.all() or (format.motion_dilated and same.any()))
 
 
 def test_undilated_vectors_are_the_surfaces_own():
@@ -312,7 +260,7 @@ def test_undilated_vectors_are_the_surfaces_own():
     depth = np.where(is_mover, 3 + 0.02 * x, 9 + 0.03 * x)
     motion = np.stack([np.where(is_mover, 5 + 0.2 * x, 0.1 * x), 0 * x], -1)
     dilated = nearest_motion(motion, depth)
-    found = twins.undilated(dilated, depth, motion)
+    found = undilated(dilated, depth, motion)
     off, spoiled = np.abs(found - motion).max(-1), np.abs(dilated - motion).max(-1)
     assert (spoiled > 1).sum() > 50 and (spoiled > 0.05).mean() > 0.95
     assert (off > 0.21).sum() == 0 and (off > 0).mean() < 0.05
@@ -330,7 +278,7 @@ def test_arrays_may_be_changed_after_submit(device):
     rng, size = np.random.default_rng(7), (64, 48)
     pipeline = Pipeline(device, *size, Options(shading_correction=False))
     color, depth, motion = colors(rng, size, 3, np.float32), *geometry(rng, size)
-    expected = twins.convert_color(color)[0]
+    expected = convert_color(color)[0]
     total = host_arrays(frame := RenderedFrame(color, depth, motion, camera(*size), 0.0, reset=True)).bad
     pipeline.submit(frame)
     color[:], motion[:] = 1, 0
