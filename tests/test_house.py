@@ -106,13 +106,13 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_597,
+    "gffe_cl": 38_405,
     "viewer": 12_289,
     "kernels": 10_185,
-    "tests": 28_707,
+    "tests": 28_631,
     "docs/tools": 3_589,
     "docs/examples": 1_822,
-    "docs/*.md": 4_401,
+    "docs/*.md": 4_396,
 }
 MOST_MODULES = 225
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}

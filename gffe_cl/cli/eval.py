@@ -6,7 +6,6 @@ import json
 import shlex
 import sys
 from functools import partial
-from itertools import product
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -80,14 +79,6 @@ def evaluate(
             help="Times of the new frames of built-in scenes, in intervals of rendered frames, separated by commas."
         ),
     ] = "0.5",
-    encode: Annotated[
-        list[str] | None,
-        typer.Option(
-            metavar="PART,…",
-            help="Encoding of rendered frames, as for `gffe render`, or exact; may be given several times, for a table"
-            " of methods and encodings.",
-        ),
-    ] = None,
     regions: Annotated[
         bool, typer.Option("--regions", help="Regions of the picture: print the PSNR of every method in each.")
     ] = False,
@@ -115,8 +106,7 @@ def evaluate(
     named = []
     for text in subjects or SCENES:
         named += [f"{text}:{seed}" for seed in range(seeds)] if seeds > 1 and is_scene(text) else [text]
-    encodings = ["" if text == "exact" else text for text in encode or ("",)]
-    chosen, broken = _subjects(named, encodings, *scenes)
+    chosen, broken = _subjects(named, *scenes)
     words = tuple(methods.split(",")) if methods else None
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
@@ -135,18 +125,18 @@ def evaluate(
         )
 
 
-def _subjects(texts, encodings, *scenes) -> tuple[tuple[Subject, ...], dict[str, str]]:
+def _subjects(texts, *scenes) -> tuple[tuple[Subject, ...], dict[str, str]]:
     """Return the subjects, and why folders among several cannot be opened, by their names."""
     from gffe_cl.lab.table.footage import parse_subject
 
     chosen, broken = [], {}
-    for text, encoding in product(texts, encodings):
+    for text in texts:
         try:
-            chosen.append(parse_subject(text, *scenes, encoding=encoding))
+            chosen.append(parse_subject(text, *scenes))
         except GffeError as error:
             if len(texts) == 1 or not Path(text).is_dir():
                 raise
-            broken[f"{text} ({encoding})" if encoding else text] = str(error)
+            broken[text] = str(error)
     if not chosen:
         raise GffeError("; ".join(named(name, reason) for name, reason in broken.items()))
     return tuple(chosen), broken
@@ -208,28 +198,12 @@ def _print(results: dict, with_regions: bool) -> None:
     out.print(table)
     count = len(results["sequences"])
     out.print(f"Means over {count} sequence{'s' if count > 1 else ''}. Flicker: `gffe_cl.lab.metrics.Flicker`.")
-    _print_encodings(results["encodings"])
     if with_regions:
         _print_regions(results)
     _print_gains(results)
     for skip in results["skipped"]:
         where = f" ({', '.join(skip['sequences'])})" if skip["sequences"] else ""
         warn(f"left out: {skip['what']}{where}: {skip['reason']}")
-
-
-def _print_encodings(rows: list[dict]) -> None:
-    """Print mean PSNR by method and encoding, with the mean and the highest difference to GFFE."""
-    if not rows:
-        return
-    names = dict.fromkeys(row["encoding"] for row in rows)
-    table = Table("PSNR, dB (against gffe: mean, highest)", *map(plain, names), box=None, header_style="bold")
-    for method in dict.fromkeys(row["method"] for row in rows):
-        figures = dict.fromkeys(names, "–")
-        for row in (row for row in rows if row["method"] == method):
-            against = f" ({_db(row['against'])}, {_db(row['most'])})" if row["against"] is not None else ""
-            figures[row["encoding"]] = f"{row['psnr']:.2f}{against}"
-        table.add_row(method, *figures.values())
-    out.print(table)
 
 
 def _print_regions(results: dict) -> None:

@@ -260,8 +260,6 @@ def open_source(
 
 
 def _print_report(report: RunReport, output: Path) -> None:
-    from gffe_cl.captures.sequence.reader import usable_cores
-
     if not report.extrapolated:
         out.print(f"{plain(output)} is complete (--overwrite makes it anew)")
         return
@@ -278,10 +276,7 @@ def _print_report(report: RunReport, output: Path) -> None:
         out.print(f"{counted(report.taken_up, 'frame')} of an interrupted run taken up")
     out.print(f"{counted(report.extrapolated, 'extrapolated frame')} in {plain(output)} (ms per frame: {times})")
     spent = report.seconds
-    out.print(
-        f"{spent['wall']:.1f} s: kernels {spent['kernels']:.1f}, network {spent['network']:.1f}, meanwhile EXRs"
-        f" {spent['codec_cpu']:.1f} of CPU time on {usable_cores()} cores"
-    )
+    out.print(f"{spent['wall']:.1f} s: kernels {spent['kernels']:.1f}, network {spent['network']:.1f}")
 
 
 def _report_json(report: RunReport, info: DeviceInfo) -> dict:

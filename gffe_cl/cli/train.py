@@ -132,7 +132,7 @@ _LEAST_CLIPS = 2  # to train on and to validate with
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
     from gffe_cl.lab.training import losses
-    from gffe_cl.lab.training.export import count_operations, export_onnx
+    from gffe_cl.lab.training.export import export_onnx
 
     figures = training.validate()
     recipe, network = training.recipe, training.network
@@ -140,10 +140,7 @@ def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_ve
         rounded = export_onnx(network, folder / "scn-int8.onnx", integers=True)
         network = training.teacher
     difference = export_onnx(network, folder / "scn.onnx")
-    parameters, operations = count_operations(network, 1920, 1080)
     facts = {
-        "parameters": f"{parameters:,}",
-        "operations at 1920×1080": f"{operations:.1f} GFLOP",
         "steps": f"{training.step:,} of {recipe.steps:,}, {recipe.batch} crops each",
         "training": f"{training.seconds / 3600:.2f} h on {training.device.type}, PyTorch {torch_version}",
         "data": f"{clips} clips, seed {recipe.seed}; {len(training.crops):,} crops of 256×256",

@@ -4,17 +4,14 @@ import json
 import time
 from dataclasses import replace
 
-import numpy as np
 import pytest
 from frame_models import network
 from scn_models import constant_model
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.lab.table import cells, results
 from gffe_cl.lab.table.cells import Cell, TableOrder, compute_cell, fill
-from gffe_cl.lab.table.footage import FolderSubject, SceneSubject, Shot, at_full_size
+from gffe_cl.lab.table.footage import FolderSubject, SceneSubject
 from gffe_cl.lab.table.methods import METHODS
 
 
@@ -166,34 +163,3 @@ def test_an_interrupt_leaves_finished_cells(tmp_path, monkeypatch):
     filled = fill(order, tmp_path)
     assert filled.computed == 2 and len(filled.cells) == 3
     assert "motion vectors in image space" in results.results_of(filled)["methods"][1]["title"]
-
-
-def test_methods_without_a_format_get_geometry_of_the_size_of_color():
-    """Dilated motion stays dilated, in pixels of color; larger geometry is left as it is."""
-    depth, motion = np.full((18, 32), 4, np.float32), np.full((18, 32, 2), (1, -2), np.float32)
-    depth[5:9, 5:9], motion[5:9, 5:9] = 2, (3, 0)
-    color = np.where(np.kron(depth, np.ones((2, 2))) > 3, 0.1, 0.9)[..., None] * np.ones(3)
-    camera = Camera(np.eye(4), 60, 60, 32, 18)
-    frame = RenderedFrame(color.astype(np.float16), depth, motion, camera, 0.0, geometry_size=(32, 18))
-    made = at_full_size(Shot(frame, color, (), frame))
-    assert made.frame.depth.shape == (36, 64) == made.following.motion.shape[:2] and made.frame.geometry_size is None
-    assert np.array_equal(made.frame.motion[12, 12], (6, 0)) and np.array_equal(made.frame.motion[30, 40], (2, -4))
-    plain = Shot(replace(frame, color=color[::2, ::2], geometry_size=None), color[::2, ::2], ())
-    assert at_full_size(plain).frame is plain.frame
-
-
-@pytest.mark.long
-def test_encodings_are_columns(gffe, tmp_path):
-    """Frames with a user interface and by antialiasing: a row for each method."""
-    sequence, report = tmp_path / "plaza", tmp_path / "report"
-    assert gffe("render", "plaza", sequence, "--size", "64x36", "--frames", 4, "--ground-truth")[0] == 0
-    call = ("eval", "forest", sequence, "--out", report, *SMALL, "--methods", "gffe,repeat,guided", "--encode", "hud")
-    code, text, err = gffe(*call, "--encode", "taa")
-    assert code == 2 and "highest" in text and "plaza: --encode taa needs a renderer" in err
-    assert "guided (forest:0 (hud), forest:0 (taa), plaza (hud))" in err
-    document = json.loads((report / "results.json").read_text())
-    rows = {(row["encoding"], row["method"]): row["psnr"] for row in document["encodings"]}
-    found = {(cell["sequence"], cell["method"]): cell for cell in document["cells"]}
-    assert len(rows) == 4 and rows["taa", "repeat"] == found["forest:0 (taa)", "repeat"]["psnr"]
-    shares = [one["shares"] for one in document["sequences"] if one["name"].startswith("forest")]
-    assert len(shares) == 2 and shares[0] == shares[1]

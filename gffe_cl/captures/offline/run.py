@@ -17,7 +17,7 @@ import numpy as np
 from gffe_cl.captures.offline.source import Source
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.captures.sequence.description import FILE_NAME, parse_description, read_text
-from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION, codec_seconds, write_channels
+from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION, write_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.public_names import __version__
 from gffe_cl.engine.frame.camera import Camera
@@ -40,8 +40,8 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 class RunReport:
     """Summary of a run: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
     wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
-    "network", and "codec_cpu", CPU time for reading and writing EXRs; how many frames were rendered ones, how many more
-    an interrupted run had made, and the files of those that were found to be cuts."""
+    "network"; how many frames were rendered ones, how many more an interrupted run had made, and the files of those that
+    were found to be cuts."""
 
     extrapolated: int
     bad_pixels: BadPixels
@@ -86,7 +86,7 @@ def run_sequence(
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
-    start, codec = perf_counter(), codec_seconds()
+    start = perf_counter()
     alphas = sorted(alphas)
     twice = [a for a, b in zip(alphas, alphas[1:], strict=False) if a == b]
     if twice:
@@ -171,7 +171,6 @@ def run_sequence(
         "start": started - start,
         "kernels": sum(timings.values()) * 1e-3,
         "network": network,
-        "codec_cpu": codec_seconds() - codec,
     }
     return report
 

@@ -60,11 +60,10 @@ class FlatScene:
             [self._still[i] if i in self._still else group.motion(time) for i, group in enumerate(self.scene.groups)]
         )
 
-    def objects(self, poses, camera: Camera, other_poses, other_camera: Camera, offset) -> np.ndarray:
+    def objects(self, poses, camera: Camera, other_poses, other_camera: Camera) -> np.ndarray:
         """Return the objects as (N, 7, 4) float32: bound; rel → local; rel → view space of the other camera at the
         other time."""
-        to_rel, to_other_rel = offset - camera.position, offset - other_camera.position
-        rotation, origin = poses[:, :3, :3], poses[:, :3, 3] + to_rel
+        rotation, origin = poses[:, :3, :3], poses[:, :3, 3] - camera.position
         inverse = np.swapaxes(rotation, 1, 2)  # rel → local: p ↦ Rᵀ (p − origin)
         records = np.empty((len(poses), 7, 4), np.float64)
         records[:, 0, :3] = np.einsum("nij,nj->ni", rotation, self.bounds[:, :3]) + origin
@@ -73,7 +72,7 @@ class FlatScene:
         records[:, 1:4, 3] = -np.einsum("nij,nj->ni", inverse, origin)
         view = other_camera.world_to_view[:3, :3]
         other_rotation = view @ other_poses[:, :3, :3]
-        other_origin = (other_poses[:, :3, 3] + to_other_rel) @ view.T
+        other_origin = (other_poses[:, :3, 3] - other_camera.position) @ view.T
         records[:, 4:7, :3] = other_rotation @ inverse
         records[:, 4:7, 3] = other_origin + np.einsum("nij,nj->ni", other_rotation, records[:, 1:4, 3])
         return records.astype(np.float32)
@@ -86,10 +85,9 @@ class FlatScene:
         half += 5e-4 + 1e-6 * np.abs(center)
         return center - half, center + half
 
-    def lights(self, time: float, camera: Camera, offset) -> np.ndarray:
+    def lights(self, time: float, camera: Camera) -> np.ndarray:
         """Return the lights at `time` as (L, 3, 4) float32."""
-        to_rel = offset - camera.position
-        rows = [_light_rows(light, time, to_rel) for light in self.scene.lights]
+        rows = [_light_rows(light, time, -camera.position) for light in self.scene.lights]
         return np.array(rows, np.float64).astype(np.float32).reshape(-1, 3, 4)
 
     def frame(self, camera: Camera, other_camera: Camera) -> np.ndarray:
@@ -201,7 +199,7 @@ def _material_rows(m: Material, time: float) -> list:
 
 
 def _light_rows(light: Light, time: float, to_rel: np.ndarray) -> list:
-    pose, factor = light.motion(time), light.flicker(time) if light.flicker else 1.0
+    pose = light.motion(time)
     if light.kind == "sun":
         place = pose[:3, :3] @ (np.asarray(light.position) / np.linalg.norm(light.position))
     else:
@@ -209,7 +207,7 @@ def _light_rows(light: Light, time: float, to_rel: np.ndarray) -> list:
     axis = pose[:3, :3] @ (np.asarray(light.axis) / np.linalg.norm(light.axis))
     return [
         (*place, light.size),
-        (*tint(light.color, factor), GEOMETRY[light.kind.upper()]),
+        (*light.color, GEOMETRY[light.kind.upper()]),
         (*axis, np.cos(np.radians(light.angle))),
     ]
 
@@ -328,7 +326,6 @@ class SceneRenderer:
         camera: Camera,
         other_time: float | None = None,
         other_camera: Camera | None = None,
-        offset=(0.0, 0.0, 0.0),
         phase: int = 0,
     ) -> SceneImage:
         """Render at `time` through `camera` (pixels of this renderer's image, any principal point), and return the
@@ -339,18 +336,15 @@ class SceneRenderer:
         other_time, other_camera
             The frame that motion and other_position refer to: normally the previous rendered frame, but any time before
             or after will do. None: the same time; the same camera.
-        offset : (3,) world units
-            The whole world is moved by it; `camera` and `other_camera` stand in the moved world.
         phase : int
             Phase of the directions in which rough surfaces reflect: frames of different phases average to more of them.
         """
         other_time = time if other_time is None else other_time
         other_camera = camera if other_camera is None else other_camera
-        offset = np.asarray(offset, np.float64)
         poses = self.flat.poses(time)
         other_poses = poses if other_time == time else self.flat.poses(other_time)
-        objects = self.flat.objects(poses, camera, other_poses, other_camera, offset)
-        lights = self.flat.lights(time, camera, offset)
+        objects = self.flat.objects(poses, camera, other_poses, other_camera)
+        lights = self.flat.lights(time, camera)
         self._upload(self._objects, objects)
         nodes, leaf_of = build_tree(*self.flat.rel_boxes(objects))
         self._upload(self._order, nearest_first(objects))

@@ -142,7 +142,7 @@ class Light:
     `kind` is "sun" (`position` is the direction towards it, `size` the tangent of its angular radius),
     "lamp" (a sphere of radius `size`), "spot" (a lamp with an `axis` and a cone of `angle` degrees half
     width) or "fill" (no shadow: stands for light bounced off large surfaces). `motion` moves position and
-    axis; `flicker` is a factor of its color over time.
+    axis.
     """
 
     kind: str
@@ -152,7 +152,6 @@ class Light:
     axis: tuple = (0.0, -1.0, 0.0)
     angle: float = 40.0
     motion: Motion = field(default_factory=Place)
-    flicker: LightFlicker | None = None
 
 
 @dataclass

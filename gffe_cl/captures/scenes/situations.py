@@ -367,19 +367,6 @@ def _fan(at: Motion, rate: float) -> list[Group]:
     return [Group(guard, at, name="guard"), hub, *blades]
 
 
-BUILDERS = {
-    "bars": bars,
-    "railings": railings,
-    "balls": balls,
-    "rotors": rotors,
-    "handheld": handheld,
-    "cab": cab,
-    "wipers": wipers,
-    "shadows": shadows,
-    "fan": fan,
-}
-
-
 def build(name: str, seed: int, rng: np.random.Generator) -> Scene:
     """Return the situation `name`, one of `SITUATIONS` of `gffe_cl.captures.scenes`."""
-    return BUILDERS[name](seed, rng)
+    return globals()[name](seed, rng)

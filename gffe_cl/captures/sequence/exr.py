@@ -8,9 +8,7 @@ import contextlib
 import errno
 import math
 import os
-import threading
-import time
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterable
 from itertools import chain
 from pathlib import Path
 from typing import Protocol
@@ -65,7 +63,7 @@ def decoded(path: Path, header: ExrHeader, places: list[tuple[int, str]], label:
     require_moderate(nbytes, max((math.prod(sides[part]) for part, _ in places), default=0), label)
 
     try:
-        with _counted(), OpenEXR.File(os.fsencode(path), separate_channels=True) as file:
+        with OpenEXR.File(os.fsencode(path), separate_channels=True) as file:
             parts = [file.channels(i) for i in range(len(file.parts))]  # none if the library gave up, and printed why
             if len(parts) != len(header.parts):
                 raise ValueError("corrupt pixel data")
@@ -169,24 +167,6 @@ def require_compression(name: str) -> str:
     return name
 
 
-def codec_seconds() -> float:
-    """Return the CPU time that all threads of this process have spent in the OpenEXR library so far, seconds."""
-    return _spent[0]
-
-
-_spent, _spending = [0.0], threading.Lock()
-
-
-@contextlib.contextmanager
-def _counted() -> Iterator[None]:
-    start = time.thread_time()
-    try:
-        yield
-    finally:
-        with _spending:
-            _spent[0] += time.thread_time() - start
-
-
 def _constant(compression: str) -> str:
     return f"{'no' if compression == 'none' else compression}_COMPRESSION".upper()
 
@@ -208,8 +188,7 @@ def write_channels(
         try:
             # The library takes any array for a contiguous one.
             contiguous = {name: np.ascontiguousarray(channel) for name, channel in channels.items()}
-            with _counted():
-                OpenEXR.File(header, contiguous).write(os.fsencode(part_path))
+            OpenEXR.File(header, contiguous).write(os.fsencode(part_path))
         except OSError:
             raise
         except Exception as error:  # whatever the library throws

@@ -47,7 +47,6 @@ from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, requ
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, require_one_pose
 
 _SLOW_INTERVAL = 5.0  # seconds between rendered frames that look like milliseconds
-_SEEN_MOVING = 0.5  # pixels
 
 
 def require_clean(file: str, bad: BadPixels) -> None:
@@ -68,30 +67,6 @@ def time_warnings(frames: list[FrameEntry], fps: float) -> list[str]:
     if not 0.5 <= step * fps <= 2:
         return [f"fps is {fps:g}, but rendered frames are {step:.3g} s apart ({1 / step:.3g} per second)"]
     return []
-
-
-def zero_motion_warning(motion, depth, camera: Camera, previous: Camera) -> str | None:
-    """Return a sentence if `motion` (H, W, 2) is zero everywhere although the camera moved since the frame before, else
-    None.
-
-    The camera moved if the center or a corner of the image, at the median of `depth` (H, W), moved by more
-    than half a pixel.
-    """
-    with np.errstate(invalid="ignore"):  # signaling NaN
-        moves = motion is None or np.any(motion)
-    if moves:
-        return None
-    surface = depth[np.isfinite(depth) & (depth > 0)]
-    if not surface.size:
-        return None
-    height, width = depth.shape
-    px = np.array([(x * width, y * height) for x, y in ((0.5, 0.5), (0, 0), (1, 0), (0, 1), (1, 1))])
-    world_pos = camera.unproject(px, np.full(5, np.median(surface)))
-    px_previous, depth_previous = previous.project(world_pos)
-    shift = np.linalg.norm(px_previous - px, axis=-1)[depth_previous > 0]
-    if shift.size and shift.max() <= _SEEN_MOVING:
-        return None
-    return "motion is zero everywhere although the camera moved"
 
 
 _MOST_AHEAD = 1024
@@ -132,7 +107,6 @@ class Sequence:
         self.known_cameras = list(description.known_cameras)
         self._timeline = Timeline(self.frames + self.known_cameras, self.fps)
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
-        self._suspicions: dict[str, str] = {}  # sentence → file where it was met first
         for entry in self.rendered:
             with within(str(path)):
                 self._geometry_of(entry)
@@ -204,14 +178,13 @@ class Sequence:
         return require_render_size(self.format, self.size_of(entry), entry.geometry_size)
 
     def warnings(self) -> list[str]:
-        """Return sentences about legal but suspicious input: an unfinished sequence, frame times, and findings in the
-        frames read so far."""
-        met = [f"{file}: {text}" for text, file in self._suspicions.items()]
+        """Return sentences about legal but suspicious input: an unfinished sequence, frame times, and what is displayed
+        but was not rendered. `gffe_cl.check` and `gffe check` look at pixels."""
         outside = [entry.file for entry in self.rendered if not self._covers_display(entry)]
         cut = [f"{outside[0]}: the display reaches beyond the rendered area (display_camera)"] if outside else []
         few = [f"{self.path}: unfinished: its writer was interrupted after {len(self.frames)} frames"]
         times = time_warnings(self.rendered, self.fps)
-        said = (few if self.unfinished else []) + list(self._pixels.notes) + times + cut + met
+        said = (few if self.unfinished else []) + list(self._pixels.notes) + times + cut
         return [printable(text) for text in said]
 
     def _covers_display(self, entry: FrameEntry) -> bool:
@@ -238,10 +211,6 @@ class Sequence:
             if before:
                 jitter = jitter_in_color(before.geometry_jitter, size, self._geometry_of(before))
             frame = described_frame(frame, self.format or FrameFormat(), before and before.render_camera, jitter)
-        if before and before.render_camera:
-            text = zero_motion_warning(frame.motion, frame.depth, frame.camera, before.render_camera)
-            if text:
-                self._suspicions.setdefault(text, entry.file)
         return frame
 
     def read_stored(self, entry: FrameEntry) -> RenderedFrame:

@@ -64,6 +64,7 @@ GONE: dict[str, str] = {
     "gffe calibrate": "write the cameras with the capture, or find them by cv2.solvePnP (docs/formats.md).",
     "gffe bench --methods": "`gffe eval` has the quality and the time of each method.",
     "gffe eval --budget": "the regions of results.json have pixels and PSNR, `--regions` prints them.",
+    "gffe eval --encode": "`gffe render --ground-truth --encode` writes a sequence that `gffe eval` measures.",
     "gffe eval --late-warp": "turn the camera of Pipeline.extrapolate at the rendered frame's own time.",
     "gffe eval --turn-rate": "render a scene whose camera turns, such as forest, or measure a sequence of your own.",
     "gffe eval --upscale": "`gffe run --upscale` and `gffe compare` measure upscaling.",

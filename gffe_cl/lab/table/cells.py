@@ -14,7 +14,7 @@ import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from functools import cache, lru_cache, partial
 from importlib.resources import files
 from pathlib import Path
@@ -26,7 +26,7 @@ from gffe_cl.engine.core.files import read_bounded, replacing
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.opencl.program import kernel_digest
 from gffe_cl.lab.metrics import REGIONS, Flicker, RegionErrors, masks, measurable, to_display
-from gffe_cl.lab.table.footage import Footage, Shot, Subject, at_full_size, find_labels, open_subject
+from gffe_cl.lab.table.footage import Footage, Shot, Subject, find_labels, open_subject
 from gffe_cl.lab.table.methods import Method, chosen_methods
 from gffe_cl.lab.table.pipelines import DeviceRunner, PipelineRunner
 
@@ -122,17 +122,8 @@ def _device(name: str | None) -> Device:
 def _footage(subject: Subject, device: str | None) -> Footage:
     """Return the footage of a subject. One at a time is cached: its cells are computed one after the other."""
     footage = open_subject(subject, _device(device))
-    if subject.encoding:
-        footage.labels = _exact_labels(replace(subject, encoding=""), device)
-    else:
-        footage.labels = list(find_labels(footage, _device(device)))
+    footage.labels = list(find_labels(footage, _device(device)))
     return footage
-
-
-@lru_cache(maxsize=1)
-def _exact_labels(subject: Subject, device: str | None) -> list[np.ndarray]:
-    """Return labels of the frames before they are encoded: all encodings are measured in the same regions."""
-    return list(find_labels(open_subject(subject, _device(device)), _device(device)))
 
 
 def machine_of(device: str | None) -> str:
@@ -180,9 +171,8 @@ def _measure(
     frames, errors = [], []
     shown_all: list[tuple[np.ndarray, np.ndarray, bool]] = []
     for shot in footage.shots(method.window):
-        given = shot if isinstance(runner, PipelineRunner) else at_full_size(shot)
         with _lap(clock.submits):
-            runner.submit(given)
+            runner.submit(shot)
         if not shot.moments:
             flicker.cut()
             _finish(runner)

@@ -13,13 +13,13 @@ from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from itertools import chain, pairwise
 from pathlib import Path
+from typing import ClassVar
 
 import numpy as np
 
 from gffe_cl.captures.formats import open_capture
 from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.scenes import (
-    EncodedFrames,
     SceneFrames,
     SceneRenderer,
     is_scene,
@@ -28,11 +28,8 @@ from gffe_cl.captures.scenes import (
     scene_names,
 )
 from gffe_cl.captures.sequence import FrameEntry, Sequence
-from gffe_cl.captures.sequence.encoding import EXACT, Encoding
-from gffe_cl.captures.sequence.engine_form import described_frame
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
-from gffe_cl.engine.frame.frame_format import FrameFormat
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.window import WindowChooser
 from gffe_cl.engine.opencl.device import Device
@@ -49,8 +46,9 @@ _MUCH = 0.25  # of a pixel: a surface shows there if it has so much of it, in so
 
 @dataclass(frozen=True)
 class SceneSubject:
-    """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals). Frames are stored by
-    `encoding`, a text as of `Encoding.parse`."""
+    """A built-in scene. `frames` rendered ones are followed by moments at `alphas` (intervals)."""
+
+    exact: ClassVar = True  # moments have a `Guide`, as of `Footage`
 
     scene: str
     seed: int
@@ -59,16 +57,10 @@ class SceneSubject:
     frames: int
     fps: float
     alphas: tuple[float, ...]
-    encoding: str = ""
 
     @property
     def name(self) -> str:
-        return _named(f"{self.scene}:{self.seed}", self.encoding)
-
-    @property
-    def exact(self) -> bool:
-        """Whether moments have a `Guide`, as of `Footage`."""
-        return not self.encoding
+        return f"{self.scene}:{self.seed}"
 
     @property
     def moments(self) -> int:
@@ -81,18 +73,15 @@ class SceneSubject:
 
 @dataclass(frozen=True)
 class FolderSubject:
-    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between. Frames are
-    stored by `encoding`, a text as of `Encoding.parse`."""
+    """A sequence on disk, of any form that `gffe formats` lists; it must hold ground truth in between."""
 
+    exact: ClassVar = False
     path: str
     moments: int
-    encoding: str = ""
 
     @property
     def name(self) -> str:
-        return _named(Path(self.path).resolve().name, self.encoding)
-
-    exact = False
+        return Path(self.path).resolve().name
 
     def identity(self) -> dict:
         """Return the identity: by the contents of all files, not by their place."""
@@ -102,14 +91,10 @@ class FolderSubject:
         for path in sorted(p for p in root.rglob("*") if p.is_file()):
             with path.open("rb") as file:
                 total.update(os.fsencode(path.relative_to(root)) + b"\0" + hashlib.file_digest(file, "sha256").digest())
-        return {"folder": total.hexdigest(), "encoding": self.encoding}
+        return {"folder": total.hexdigest()}
 
 
 Subject = SceneSubject | FolderSubject
-
-
-def _named(name: str, encoding: str) -> str:
-    return f"{name} ({encoding})" if encoding else name
 
 
 @dataclass(frozen=True)
@@ -151,14 +136,13 @@ class Shot:
 
 class Footage:
     """Rendered frames and moments of a subject. `exact`: whether moments have a `Guide`, of which rendered frames are
-    the exact surfaces, and frames can be rendered through a window of choice; `encoding`: how frames are stored;
-    `labels`: of each moment in order (`regions`), filled in by callers that need them."""
+    the exact surfaces, and frames can be rendered through a window of choice; `labels`: of each moment in order
+    (`regions`), filled in by callers that need them."""
 
     exact = False
 
-    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float, encoding: Encoding = EXACT):
+    def __init__(self, name: str, width: int, height: int, fps: float, exposure: float):
         self.name, self.width, self.height, self.fps, self.exposure = name, width, height, fps, exposure
-        self.encoding = encoding
         self.labels: list[np.ndarray] = []
         self._kept: dict[str, list[Shot]] = {}
 
@@ -187,13 +171,13 @@ class Footage:
 
 
 class _Scene(Footage):
+    exact = True
+
     def __init__(self, subject: SceneSubject, device: Device):
         self._scene, self._device = load_scene(subject.scene, subject.seed), device
         self._subject = subject
         size = (subject.width, subject.height)
-        self.exact = subject.exact
-        encoding = Encoding.parse(subject.encoding) if subject.encoding else EXACT
-        super().__init__(subject.name, *size, subject.fps, self._scene.exposure, encoding)
+        super().__init__(subject.name, *size, subject.fps, self._scene.exposure)
         self._renderer = SceneRenderer(device, self._scene, *size)
 
     def shots(self, window="off"):
@@ -202,10 +186,9 @@ class _Scene(Footage):
     def _make(self, window):
         size = (self.width, self.height)
         frames = SceneFrames(self._renderer, WindowChooser(window, size, self._subject.alphas), size)
-        frames = frames if self.exact else EncodedFrames(frames, self.encoding)
         rendered = frames.sequence(self._subject.frames + 1, self.fps)
         for (frame, following), (shown, moments, moving) in zip(pairwise(rendered), self._reference(), strict=False):
-            yield Shot(frame, shown if self.exact else frame.color, moments, following, moving)
+            yield Shot(frame, shown, moments, following, moving)
 
     def _reference(self):
         """Yield the displayed picture, the later moments and the movers of each rendered frame: the same for all
@@ -229,15 +212,13 @@ class _Scene(Footage):
         z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
         z = np.where(np.isfinite(image.motion).all(-1), z, np.nan).astype(np.float32)
         guide = Guide(image.depth, image.motion, z, moving)
-        color = self.encoding.truth(image.color, self.exposure)
-        return Moment(time, alpha, camera, color, guide if self.exact else None)
+        return Moment(time, alpha, camera, image.color, guide)
 
 
 class _Folder(Footage):
     def __init__(self, subject: FolderSubject, device: Device):
         self._sequence = s = open_capture(subject.path)
-        encoding = Encoding.parse(subject.encoding) if subject.encoding else EXACT
-        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure, encoding)
+        super().__init__(subject.name, s.width, s.height, s.fps, s.exposure)
         self._sources = {"off": Recorded(s, device, "off"), "given": Recorded(s, device)}
 
     def render_size(self, window):
@@ -246,7 +227,7 @@ class _Folder(Footage):
     def _make(self, window):
         source, truths = self._sources[window], truths_after(self._sequence)
         shown = self.shots("off") if window != "off" else None
-        frames = (self.encoding.frame(frame, self.exposure) for _, frame in source.frames([], strict=False))
+        frames = (frame for _, frame in source.frames([], strict=False))
         for k, (frame, following) in enumerate(pairwise(chain(frames, [None]))):
             assert frame is not None  # only the last of `following` is
             following = None if following is None or following.reset else following
@@ -259,15 +240,7 @@ class _Folder(Footage):
     def _moment(self, source: Recorded, k: int, truth: FrameEntry) -> Moment:
         """Return the moment of `truth` after rendered frame `k`."""
         alpha = (truth.time - source.time(k)) / source.interval(k)
-        color = self.encoding.truth(self._sequence.read_color(truth), self.exposure)
-        return Moment(truth.time, alpha, self._sequence.camera_at(truth.time), color)
-
-
-def at_full_size(shot: Shot) -> Shot:
-    """Return `shot` with depth and motion of its frames at the size of color; dilated motion stays dilated."""
-    frames = {name: found for name in ("frame", "following") if (found := getattr(shot, name)) and found.geometry_size}
-    plain = FrameFormat()
-    return replace(shot, **{name: described_frame(found, plain, None, (0.0, 0.0)) for name, found in frames.items()})
+        return Moment(truth.time, alpha, self._sequence.camera_at(truth.time), self._sequence.read_color(truth))
 
 
 def open_subject(subject: Subject, device: Device) -> Footage:
@@ -275,27 +248,17 @@ def open_subject(subject: Subject, device: Device) -> Footage:
     return _Scene(subject, device) if isinstance(subject, SceneSubject) else _Folder(subject, device)
 
 
-def parse_subject(
-    text: str,
-    size: tuple[int, int],
-    frames: int,
-    fps: float,
-    alphas: tuple[float, ...],
-    encoding: str = "",
-) -> Subject:
+def parse_subject(text: str, size: tuple[int, int], frames: int, fps: float, alphas: tuple[float, ...]) -> Subject:
     """Return the subject of a text: "corridor", "corridor:3" (a seed) or a folder. Raises GffeError, also for a folder
-    without ground truth, or for which `encoding` needs a renderer."""
-    parsed = Encoding.parse(encoding) if encoding else EXACT
+    without ground truth."""
     name, colon, seed = text.partition(":")
     if is_scene(text) or (is_scene_name(name) and colon and not Path(text).exists()):
         if colon and not seed.isdigit():
             raise GffeError(f"'{text}': the seed must be a whole number (expected {name}:0 or the like)")
         load_scene(name, int(seed or 0))
-        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas), encoding=encoding)
+        return SceneSubject(name, int(seed or 0), *size, frames, fps, tuple(alphas))
     if not Path(text).exists():
         raise GffeError(f"'{text}': neither a built-in scene ({scene_names()}) nor a folder")
-    if parsed.is_rendered:
-        raise GffeError(f"{text}: --encode {encoding} needs a renderer (expected a built-in scene)")
     sequence = open_capture(text)
     count = sum(map(len, truths_after(sequence).values()))
     if not count:
@@ -303,10 +266,8 @@ def parse_subject(
             f"{text}: no ground truth between rendered frames with history, nothing to measure against"
             " (expected frames of kind ground_truth, as `gffe render --ground-truth` writes)"
         )
-    recorded = Recorded(sequence, None)
-    if parsed.is_on_display and recorded.windowed:
-        raise GffeError(f"{text}: --encode {encoding} needs frames that are displayed as they were rendered")
-    return FolderSubject(text, count, encoding)
+    Recorded(sequence, None)  # raises for windows that no run takes
+    return FolderSubject(text, count)
 
 
 def truths_after(sequence: Sequence) -> dict[int, list[FrameEntry]]:
@@ -350,10 +311,10 @@ def pixel_centers(height: int, width: int) -> np.ndarray:
 
 def find_labels(footage: Footage, device: Device) -> Iterator[np.ndarray]:
     """Yield the labels of every moment in order: (H, W) uint8, indices into `REGIONS`."""
-    size, more = (footage.width, footage.height), {"fps": footage.fps, "format": footage.encoding.format}
-    gae = Pipeline(device, *size, Options(shading_correction=False, overlays=False), **more)
+    size = footage.width, footage.height
+    gae = Pipeline(device, *size, Options(shading_correction=False, overlays=False), fps=footage.fps)
     still = Options(motion=False, levels=0, shading_correction=False, overlays=False)
-    static = None if footage.exact else Pipeline(device, *size, still, **more)
+    static = None if footage.exact else Pipeline(device, *size, still, fps=footage.fps)
     for shot in footage.shots():
         for pipeline in filter(None, (gae, static)):
             pipeline.submit(shot.frame)

@@ -65,9 +65,7 @@ class PipelineRunner(DeviceRunner):
     def __init__(self, options: Options, window: str, knows_camera: bool, footage: Footage, device: Device):
         super().__init__()
         size, render_size = (footage.width, footage.height), footage.render_size(window)
-        self.pipeline = Pipeline(
-            device, *size, options, render_size=render_size, fps=footage.fps, format=footage.encoding.format
-        )
+        self.pipeline = Pipeline(device, *size, options, render_size=render_size, fps=footage.fps)
         self.pipeline.exposure = footage.exposure
         self._known = knows_camera
 

@@ -94,7 +94,6 @@ def results_of(filled: Filled, command: str = "") -> dict:
         "cells": cells,
         "means": means,
         "gains": gains(filled),
-        "encodings": encodings(filled, cells),
         "skipped": _skipped(filled),
     }
 
@@ -135,24 +134,6 @@ def gains(filled: Filled) -> list[dict]:
         row["paper"] = round(PAPER["Ours Full"]["psnr"] - PAPER[gain.paper]["psnr"], 2) if gain.paper else None
         found.append(row)
     return found
-
-
-def encodings(filled: Filled, cells: list[dict]) -> list[dict]:
-    """Return a row for each method and encoding, if there are encodings: the mean PSNR over its sequences; `against`:
-    the mean of the differences to the full method, `most`: the highest of them, both in dB, None of that itself."""
-    of = {subject.name: subject.encoding for subject in filled.subjects}
-    rows = []
-    for encoding in dict.fromkeys(of.values()) if any(of.values()) else ():
-        for name in filled.methods:
-            own = [cell for cell in cells if cell["method"] == name and of[cell["sequence"]] == encoding]
-            if not own:
-                continue
-            against = [cell["against"] for cell in own if cell["against"] is not None]
-            psnr = float(np.mean([cell["psnr"] for cell in own]))
-            mean = float(np.mean(against)) if against else None
-            row = {"encoding": encoding or "exact", "method": name, "psnr": psnr, "against": mean}
-            rows.append(row | {"most": max(against, default=None)})
-    return rows
 
 
 def to_csv(results: dict) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import copy
 import logging
 import os
 import warnings
@@ -18,7 +17,6 @@ from google.protobuf.message import DecodeError
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.layers import (
     HEAD,
-    INPUT_PLANES,
     INPUTS,
     MULTIPLE,
     OUTPUT,
@@ -27,7 +25,6 @@ from gffe_cl.engine.inference.layers import (
     shapes_at,
 )
 from gffe_cl.engine.inference.network import open_session
-from gffe_cl.engine.stages.shading import TREND_PLANES
 from gffe_cl.lab.training.layers import write_layers
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork
 from gffe_cl.lab.training.quantization import rounded_weights, store_integers
@@ -120,16 +117,3 @@ def differences(network: ShadingCorrectionNetwork, path: Path) -> tuple[float, f
             found.append((made - network.convolutions(*inputs.values()).numpy()).ravel())
     difference = np.concatenate(found)
     return float(np.abs(difference).max()), float(np.sqrt((difference**2).mean()))
-
-
-def count_operations(network: ShadingCorrectionNetwork, width: int, height: int) -> tuple[int, float]:
-    """Return the number of parameters, and GFLOP (two per multiply-add) for one frame of `width` × `height` display
-    pixels."""
-    from torch.utils.flop_counter import FlopCounterMode
-
-    sides = [-(-side // (2 * MULTIPLE)) * MULTIPLE for side in (height, width)]
-    shape_only = copy.deepcopy(network).to("meta").eval()
-    with torch.no_grad(), torch.device("meta"), FlopCounterMode(display=False) as counter:
-        trends = torch.zeros(1, TREND_PLANES, *(side // 2 for side in sides))
-        shape_only(torch.zeros(1, INPUT_PLANES, *sides), torch.zeros(1), trends)
-    return sum(p.numel() for p in network.parameters()), counter.get_total_flops() / 1e9

@@ -185,17 +185,6 @@ def test_time_warnings(folder):
     assert "fps is 30" in open_sequence(folder).warnings()[0]
 
 
-def test_zero_motion_warning(folder):
-    color, depth, _ = pixels(2)
-    channels = contiguous(named_channels(color, depth, np.zeros((H, W, 2), np.float32)))
-    OpenEXR.File({"type": OpenEXR.scanlineimage}, channels).write(str(folder / "frame_2.exr"))
-    sequence = open_sequence(folder)
-    for _ in range(2):
-        for _ in sequence.prefetch(sequence.rendered):
-            pass
-    assert sequence.warnings() == ["frame_2.exr: motion is zero everywhere although the camera moved"]
-
-
 # Prefetch
 
 

@@ -336,16 +336,6 @@ def test_what_is_not_owned_is_copied_at_once(tmp_path):
     assert [sequence.read_color(entry).max() for entry in sequence.extrapolated] == [0, 1, 2, 3]
 
 
-def test_cpu_time_in_the_library_is_counted(tmp_path):
-    before = exr_module.codec_seconds()
-    write(tmp_path / "out", 3)
-    between = exr_module.codec_seconds()
-    sequence = open_sequence(tmp_path / "out")
-    assert between > before
-    sequence.read(sequence.frames[0])
-    assert exr_module.codec_seconds() > between
-
-
 def test_rendered_frames_of_several_sizes_are_refused(tmp_path):
     sizes = rf"one size \(frame_0.exr is {W}×{H}, frame_1.exr is {W - 1}×{H}\)"
     with pytest.raises(GffeError, match=sizes), SequenceWriter(tmp_path / "out", W, H, 30) as writer:
