@@ -106,10 +106,10 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_405,
-    "viewer": 12_289,
+    "gffe_cl": 38_404,
+    "viewer": 12_107,
     "kernels": 10_185,
-    "tests": 28_631,
+    "tests": 28_599,
     "docs/tools": 3_589,
     "docs/examples": 1_822,
     "docs/*.md": 4_396,

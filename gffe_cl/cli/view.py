@@ -118,7 +118,7 @@ def view(
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
-    from gffe_cl.viewer.window.script import parse, play_script, require_film, take_screenshot, unopened
+    from gffe_cl.viewer.window.script import FILMS, parse, play_script, require_file, take_screenshot, unopened
     from gffe_cl.viewer.window.start import leaving, require_display
     from gffe_cl.viewer.window.start import view as run_viewer
 
@@ -130,7 +130,7 @@ def view(
     if len(alone) > 1:
         raise GffeError(f"{' and '.join(alone)} exclude each other")
     if film is not None:
-        require_film(film)
+        require_file(film, "film", FILMS)
         if script is None:
             raise GffeError("--film needs a --script with the steps to film")
     steps = [] if script is None else parse(script, unopened().actions)

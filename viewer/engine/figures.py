@@ -4,19 +4,19 @@ from __future__ import annotations
 
 from collections import OrderedDict, deque
 from concurrent.futures import Future
-from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection import names
 from gffe_cl.lab.metrics import (
     METRICS,
     Flicker,
-    Metric,
     focus_mask,
+    labels_of,
+    masks,
     measurable,
+    measured_or_reason,
     shows,
     steps,
     to_display,
@@ -100,8 +100,8 @@ class Measurer:
         shown, true = displayed(frame, exposure)
         for metric in measurable():
             if metric.name not in values:
-                with suppress(GffeError):  # `Measurements.measure` tells it
-                    values[metric.name] = _measured(metric, shown, true)
+                value, _ = measured_or_reason(metric.measure, shown, true)  # `Measurements.measure` tells the reason
+                values |= {} if value is None else {metric.name: value}
         change = self._change(frame, shown, true)
         if change is not None:
             values["flicker"] = change
@@ -189,10 +189,11 @@ class Measurements:
         shown, true = displayed(frame, exposure)
         for metric in measurable():
             if metric.slow == slow and metric.name not in known:
-                try:
-                    self._made.append((frame.key, Figures({metric.name: _measured(metric, shown, true)})))
-                except GffeError as error:
-                    self.faults.append(str(error))
+                value, reason = measured_or_reason(metric.measure, shown, true)
+                if value is None:
+                    self.faults.append(f"{metric.label} {reason}")
+                else:
+                    self._made.append((frame.key, Figures({metric.name: value})))
 
     def survey(self, frame: Frame, exposure: float) -> None:
         """Measure all quantities of a slot."""
@@ -215,61 +216,29 @@ class Measurements:
         return frozenset(self._surveying)
 
 
-def _measured(metric: Metric, shown: np.ndarray, true: np.ndarray) -> float:
-    """Return the figure between display values. Raises GffeError."""
-    try:
-        return metric.measure(shown, true)
-    except Exception as error:  # whatever a binary package throws
-        raise GffeError(f"{type(error).__name__}: {error}") from error
-
-
 def displayed(frame: Frame, exposure: float) -> tuple[np.ndarray, np.ndarray]:
     """Return display values (H, W, 3) as shown and as they should be."""
     shown, true = (to_display(frame.images[name][..., :3], exposure) for name in (names.FINAL, names.TRUTH))
     return shown, true
 
 
-def out_of_screen(frame: Frame, holes: np.ndarray) -> np.ndarray:
-    """Return (H, W) bool: the pixels of `holes`, in a generated slot, that lie outside of the rendered frame's view.
-    Needs the layer `names.DEPTH`."""
-    moment, outside = frame.moment, np.zeros_like(holes)
-    width, height = frame.render_size
-    world = world_positions(moment.camera, frame.images[names.DEPTH], holes)
-    outside[holes] = ~shows(moment.render_camera, width, height, world)
-    return outside
-
-
-def region_labels(frame: Frame, exposure: float) -> np.ndarray:
-    """Return (H, W) uint8: the region of each pixel, as an index into `REGIONS`, of a generated slot with the layers
-    `NEEDED_BY_REGION`."""
-    images = frame.images
-    depth, dynamic = images[names.DEPTH], images[names.DYNAMIC] != 0
-    holes = images[names.DISOCCLUDED] != 0
-    outside = out_of_screen(frame, holes)
+def region_masks(frame: Frame, exposure: float) -> dict[str, np.ndarray]:
+    """Return (H, W) bool by the names of `REGIONS`, and the "whole", of a generated slot with the layers
+    `NEEDED_BY_REGION`; each pixel is in one region."""
+    images, moment = frame.images, frame.moment
+    depth, dynamic, holes = images[names.DEPTH], images[names.DYNAMIC] != 0, images[names.DISOCCLUDED] != 0
+    outside = np.zeros_like(holes)
+    outside[holes] = ~shows(moment.render_camera, *frame.render_size, world_positions(moment.camera, depth, holes))
     warped = images.get(names.GAE, images[names.FINAL])[..., :3]
-    masks = {
+    parts = {
         "out of screen": outside,
-        "disoccluded": holes,
+        "static disocclusion": holes,  # of any kind
         "silhouettes": steps(depth),
         "dynamic": dynamic,
         "focus": focus_mask(warped, images[names.TRUTH][..., :3], dynamic, exposure),
     }
-    labels = np.full(holes.shape, len(REGIONS) - 1, np.uint8)
-    for number, name in reversed(list(enumerate(REGIONS))):
-        if name in masks:
-            labels[masks[name]] = number
-    return labels
-
-
-def psnr_by_region(labels: np.ndarray, squared: np.ndarray) -> dict[str, float]:
-    """Return PSNR in dB by the names of `REGIONS`, NaN of empty ones. `labels`: (H, W) indices into `REGIONS`;
-    `squared`: (H, W) squared error of display values."""
-    counts = np.bincount(labels.ravel(), minlength=len(REGIONS)).tolist()
-    sums = np.bincount(labels.ravel(), squared.ravel(), minlength=len(REGIONS)).tolist()
-    return {
-        name: METRICS["psnr"].of_mean(whole / count) if count else float("nan")
-        for name, count, whole in zip(REGIONS, counts, sums, strict=True)
-    }
+    found = masks(labels_of(parts))
+    return found | {"disoccluded": found["static disocclusion"]}
 
 
 HISTORY = 120  # computed frames in the plot

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
@@ -123,28 +123,27 @@ class Display:
     @classmethod
     def from_dict(cls, values: Mapping[str, Any]) -> Display:
         """Return the display from `to_dict`; unknown or invalid values get their default."""
-        display = cls()
+        display, choices = cls(), {"tone_map": TONE_MAPS, "color_map": COLOR_MAPS}
         for field in fields(cls):
-            value = values.get(field.name) if isinstance(values, Mapping) else None
-            if value is not None and _makes_sense(field.name, value, getattr(display, field.name)):
-                setattr(display, field.name, tuple(value) if field.name == "tint" else type(field.default)(value))
+            value, usual = values.get(field.name), field.default
+            if field.name == "tint":
+                sound = isinstance(value, list) and [is_sound(part, 0.0) for part in value] == [True] * 3
+            else:
+                sound = is_sound(value, usual, choices.get(field.name, ()), _LEAST.get(field.name, -math.inf))
+            if sound:
+                setattr(display, field.name, type(usual)(value))
         return display
 
 
-def _makes_sense(name: str, value: Any, default: Any) -> bool:
-    def number(x):
-        return isinstance(x, (int, float)) and not isinstance(x, bool) and math.isfinite(x)
+_LEAST = {"plane": 0, "motion_scale": 1e-6}
 
-    if name == "tint":
-        return isinstance(value, (list, tuple)) and len(value) == 3 and all(map(number, value))
-    if name == "plane":
-        return number(value) and value >= 0
-    if name == "motion_scale":
-        return number(value) and value > 0
-    if isinstance(default, float):
-        return number(value)
-    choices = {"tone_map": TONE_MAPS, "color_map": COLOR_MAPS}.get(name)
-    return isinstance(value, type(default)) and (choices is None or value in choices)
+
+def is_sound(value: Any, like: Any, choices: Sequence[Any] = (), least: float = -math.inf) -> bool:
+    """Return whether a remembered value is of the kind of `like`, and one of `choices` if there are any; of a number,
+    whether it is finite and at least `least`."""
+    if isinstance(like, bool) or not isinstance(like, (int, float)):
+        return isinstance(value, type(like)) and (not choices or value in choices)
+    return isinstance(value, (int, float)) and not isinstance(value, bool) and math.isfinite(value) and value >= least
 
 
 @dataclass(frozen=True)

@@ -10,9 +10,9 @@ import numpy as np
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
 from ..picture.current_frame import Contents
-from ..picture.displays import LABEL_COLORS, MASK_OFF, SKY, Display, Rgb, color_table, label_flip, shown_as, wheel_color
+from ..picture.displays import LABEL_COLORS, MASK_OFF, SKY, Display, Rgb, color_table, label_flip, shown_as
 from ..picture.looks import Looks
-from ..picture.view import CLIPPING, COLOR, FLIP_SPEC, Side, View, compared_as, full_scale, has_direction, unit_of
+from ..picture.view import COLOR, FLIP_SPEC, Side, View, compared_as, full_scale, has_direction, unit_of
 from .comparing import Comparison
 from .playback import Playback
 
@@ -21,18 +21,15 @@ from .playback import Playback
 class Legend:
     """Content of a legend.
 
-    `kind` is "none", "ramp" (`ticks` from 0, low, to 1, high, along `color_table(display.color_map)`) or "wheel"
-    (`ticks` in turns, see `wheel_color`); each tick is (position, text, color). `labels` are (text, color) of single
-    values, "ramp" or not. `unit` says what the numbers are.
+    `kind` is "none", "ramp" (`ticks` from 0, low, to 1, high, along `color_table(display.color_map)`) or "wheel", of
+    directions; each tick is (position, text, color). `labels` are (text, color) of single values, "ramp" or not. `unit`
+    says what the numbers are.
     """
 
     kind: str
     ticks: tuple[tuple[float, str, Rgb], ...] = ()
     labels: tuple[tuple[str, Rgb], ...] = ()
     unit: str = ""
-
-
-_DIRECTIONS = ("right", "right, down", "down", "left, down", "left", "left, up", "up", "right, up")
 
 
 def legend(spec: LayerSpec, display: Display) -> Legend:
@@ -48,8 +45,7 @@ def legend(spec: LayerSpec, display: Display) -> Legend:
             "none", labels=tuple((text, LABEL_COLORS[value & 15 ^ label_flip(spec)]) for value, text in named)
         )
     if view in ("motion", "place"):
-        wheel = ((turn / 8, text, wheel_color(turn / 8, 1)) for turn, text in enumerate(_DIRECTIONS))
-        return Legend("wheel", tuple(wheel), unit=f"full color from {display.motion_scale:.3g} px")
+        return Legend("wheel", unit=f"full color from {display.motion_scale:.3g} px")
     colors, marks = color_table(display.color_map), []
     for position in (0.0, 0.25, 0.5, 0.75, 1.0):
         value = display.low + (display.high - display.low) * position
@@ -121,94 +117,7 @@ def layer_text(spec: LayerSpec, display: Display) -> str:
     return f"{spec.group}: {spec.label}" + (f"   {display.exposure:+.1f} EV" if exposed else "")
 
 
-@dataclass(frozen=True)
-class Entry:
-    """One legend: its `title`, and of a ramp the name of its color map."""
-
-    title: str
-    legend: Legend
-    color_map: str = ""
-
-
-_EDGES = (("depth", (1.0, 0.0, 0.0)), ("motion", (0.0, 1.0, 0.0)), ("color", (0.0, 0.0, 1.0)))
-_MOTION = LayerSpec("residual motion", "Residual motion", "overlay", "motion", ("x", "y"))
-
-
-def entries_of(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
-    """Return legends of the displayed layers; none for colors alone."""
-    return [*_shown(view, contents, looks, comparison), *_overlay(view)]
-
-
-def _shown(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
-    if comparison.flipped:
-        return _layer(view.b, contents, looks, "B  ")
-    if comparison.nothing:
-        return [Entry(comparison.scale_text(), Legend("none"))]
-    if view.compare in ("error", "flip error"):
-        display = comparison.error_display
-        shown = replace(legend(FLIP_SPEC, display), unit=_error_unit(view, contents, looks))
-        return [Entry(comparison.scale_text(), shown, display.color_map)]
-    if view.compare == "difference":
-        return _difference(view, contents, looks, comparison)
-    if view.compare == "split" and view.b and names.plain(view.b) != view.a:
-        return _layer(view.a, contents, looks, "A  ") + _layer(view.b, contents, looks, "B  ")
-    return _layer(view.a, contents, looks)
-
-
-def _sides(view: View, contents: Contents, looks: Looks) -> tuple[Side, Side] | None:
-    """Return the layers that are compared, with their displays; None if one is missing."""
-    a, b = contents.spec(view.a), contents.spec(view.b)
-    return None if a is None or b is None or view.b is None else ((a, looks.of(view.a)), (b, looks.of(view.b)))
-
-
-def _error_unit(view: View, contents: Contents, looks: Looks) -> str:
-    """Return the unit of the error map's numbers."""
-    sides = _sides(view, contents, looks)
-    if view.compare == "flip error":
-        return "FLIP, 0 to 1"
-    unit = unit_of(*sides) if sides else ""
-    return f"{unit}, squared" if view.error == "squared" and unit else unit
-
-
-def _difference(view: View, contents: Contents, looks: Looks, comparison: Comparison) -> list[Entry]:
-    """Return the legend of a difference: a color bar, or a wheel of directions."""
-    sides, title = _sides(view, contents, looks), comparison.scale_text()
-    if sides is None:
-        return [Entry(title, Legend("none"))]
-    kind, how = compared_as(*sides), view.difference
-    high, unit = full_scale(kind, how, view.gain, sides[0][1]), unit_of(*sides, how)
-    if kind in ("label", "mask"):
-        ends = color_table("heat")
-        labels = (("equal", tuple(ends[0].tolist())), ("different", tuple(ends[-1].tolist())))
-        return [Entry(title, Legend("none", labels=labels))]
-    if has_direction(kind, how):
-        return [Entry(title, legend(_MOTION, Display(motion_scale=high)))]
-    color_map = "diverging" if how == "signed" and kind != "world" else "heat"
-    if how == "absolute" and kind == COLOR:
-        color_map = "gray"
-    display = Display(low=-high if color_map == "diverging" else 0.0, high=high, color_map=color_map)
-    return [Entry(title, replace(legend(FLIP_SPEC, display), unit=unit), color_map)]
-
-
-def _layer(name: str | None, contents: Contents, looks: Looks, prefix: str = "") -> list[Entry]:
-    spec = contents.spec(name)
-    if name is None or spec is None or contents.image(name) is None:
-        return []
-    display = looks.of(name)
-    shown = legend(spec, display)
-    channel = f", {display.channel}" if len(spec.channels) > 1 and display.channel not in ("", spec.channels[0]) else ""
-    entry = Entry(f"{prefix}{spec.group}: {spec.label}{channel}", shown, display.color_map)
-    return [entry] if shown.kind != "none" or shown.labels else []
-
-
-def _overlay(view: View) -> list[Entry]:
-    if view.overlay == "clipping":
-        return [Entry("clipping", Legend("none", labels=tuple(CLIPPING.items())))]
-    if view.overlay == "edges":
-        return [Entry("edges", Legend("none", labels=_EDGES))]
-    if view.overlay == "residual motion":
-        return [Entry("residual motion", legend(_MOTION, Display(motion_scale=view.residual_scale)))]
-    return []
+_VECTORS = LayerSpec("vectors", "Vectors", "overlay", "motion", ("x", "y"))
 
 
 class Captions:
@@ -226,6 +135,57 @@ class Captions:
             return slot_text(self._playback.slot, self._playback.n)
         return slot_text(result.slot, result.setup.n)
 
-    def legends(self) -> list[Entry]:
-        """Return the legends of the picture."""
-        return entries_of(self._view, self._contents, self._looks, self._comparison)
+    def legends(self) -> list[tuple[str, Legend]]:
+        """Return the ramps and wheels of the picture, each with "A" if it is that of A in a wipe, else ""."""
+        found = self._shown()
+        if self._view.overlay == "residual motion":
+            found = [*found, ("", legend(_VECTORS, Display(motion_scale=self._view.residual_scale)))]
+        return [(side, shown) for side, shown in found if shown is not None and shown.kind != "none"]
+
+    def _shown(self) -> list[tuple[str, Legend | None]]:
+        view, comparison = self._view, self._comparison
+        if comparison.flipped:
+            return [("", self._layer(view.b))]
+        if comparison.nothing:
+            return []
+        if view.compare in ("error", "flip error"):
+            return [("", replace(legend(FLIP_SPEC, comparison.error_display), unit=self._error_unit()))]
+        if view.compare == "difference":
+            return [("", self._difference())]
+        if view.compare == "split" and view.b and names.plain(view.b) != view.a:
+            return [("A", self._layer(view.a)), ("", self._layer(view.b))]
+        return [("", self._layer(view.a))]
+
+    def _layer(self, name: str | None) -> Legend | None:
+        spec = self._contents.spec(name)
+        missing = name is None or spec is None or self._contents.image(name) is None
+        return None if missing else legend(spec, self._looks.of(name))
+
+    def _sides(self) -> tuple[Side, Side] | None:
+        """Return the layers that are compared, with their displays; None if one is missing."""
+        view, contents, looks = self._view, self._contents, self._looks
+        a, b = contents.spec(view.a), contents.spec(view.b)
+        return None if a is None or b is None or view.b is None else ((a, looks.of(view.a)), (b, looks.of(view.b)))
+
+    def _error_unit(self) -> str:
+        """Return the unit of the error map's numbers."""
+        if self._view.compare == "flip error":
+            return "FLIP, 0 to 1"
+        sides = self._sides()
+        unit = unit_of(*sides) if sides else ""
+        return f"{unit}, squared" if self._view.error == "squared" and unit else unit
+
+    def _difference(self) -> Legend | None:
+        """Return the legend of a difference: a color bar, or a wheel of directions."""
+        sides, view = self._sides(), self._view
+        if sides is None or (kind := compared_as(*sides)) in ("label", "mask"):
+            return None
+        how = view.difference
+        high, unit = full_scale(kind, how, view.gain, sides[0][1]), unit_of(*sides, how)
+        if has_direction(kind, how):
+            return legend(_VECTORS, Display(motion_scale=high))
+        color_map = "diverging" if how == "signed" and kind != "world" else "heat"
+        if how == "absolute" and kind == COLOR:
+            color_map = "gray"
+        display = Display(low=-high if color_map == "diverging" else 0.0, high=high, color_map=color_map)
+        return replace(legend(FLIP_SPEC, display), unit=unit)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -16,14 +15,21 @@ from gffe_cl.lab.metrics import METRICS
 from ..engine.engine import Engine
 from ..engine.jobs import Derived, Jobs
 from ..picture.current_frame import Contents
-from ..picture.displays import Display
+from ..picture.displays import Display, is_sound
 from ..picture.looks import Looks
 from ..picture.view import DIFFERENCES, ERRORS, FLIP_MAP, FLIP_SPEC, View, flip_map
 from .parameters import Parameters
 from .presets import Kept, KeptSettings
 
 FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one"}
-WAYS = ("off", "split", "flip", "difference", "error", "flip error")
+WAYS = {
+    "off": "off",
+    "split": "split wipe",
+    "flip": "flip (hold B)",
+    "difference": "difference",
+    "error": "error map",
+    "flip error": "FLIP error",
+}
 FLIP_HIGH = 0.5
 BUILD_LETTERS = 6  # of the identity of a build
 _NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}  # of a view, with their ranges
@@ -235,13 +241,12 @@ class Comparison:
     def restore(self, saved: dict[str, Any]) -> None:
         """Restore the result of `preferences`. A damaged value affects only itself."""
         view = self._view
-        for name, choices in (("compare", WAYS), ("error", ERRORS), ("difference", DIFFERENCES)):
+        for name, choices in (("compare", tuple(WAYS)), ("error", ERRORS), ("difference", DIFFERENCES)):
             if saved.get(name) in choices:
                 setattr(view, name, saved[name])
         for name, (low, high) in _NUMBERS.items():
-            value: Any = saved.get(name)
-            if type(value) in (int, float) and math.isfinite(value):
-                setattr(view, name, min(max(float(value), low), high))
+            if is_sound(saved.get(name), 0.0):
+                setattr(view, name, min(max(float(saved[name]), low), high))
         if isinstance(saved.get("b"), str):
             view.b = saved["b"]
         elif view.compare != "off":

@@ -29,7 +29,7 @@ from .playback import Playback
 from .saving import Saving, Subject
 from .settings import Settings
 from .studies import Here, Studies
-from .survey import Side, Survey
+from .survey import Survey
 
 _SCENES = ScenePlan(480, 270, 0)
 _OPTIONS = Options()
@@ -206,8 +206,7 @@ class Model:
         result, beside = self.contents.result, not (self.flying or self.choices.overview or self.saving.work)
         kept = self.kept.b
         idle = not (self.flying or self.saving.work or self.playback.playing) and not showing.is_waiting
-        a = Side(self.setup, self.recipe)
-        b = None if kept is None else Side(kept.setup(self.n), self.engine.recipe(kept.setup(self.n)))
+        a, b = self.recipe, None if kept is None else self.engine.recipe(kept.setup(self.n))
         slots, contents = range(self.playback.first, self.playback.last + 1), self.contents
         shown, exposure = (self.view.a, self.pointing.picked, slots), self.source.exposure
         info = exposure, self.engine.recipe, contents.frame_info

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from bisect import bisect_right
 from collections import deque
 from collections.abc import Sequence
-from contextlib import suppress
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from gffe_cl.engine.core.errors import GffeError
+from ..picture.displays import is_sound
 
 MOST_GENERATED = 7
 ROUNDING = 1e-6  # seconds by which a slot may be early: clocks are sums of many small steps
@@ -29,19 +27,6 @@ class Schedule:
     fps: float = 30.0
     n: int = 1
     times: tuple[float, ...] | None = None
-
-    def __post_init__(self):
-        if self.count < 1:
-            raise GffeError(f"playback: a sequence has at least one rendered frame, got {self.count}")
-        if not (math.isfinite(self.fps) and self.fps > 0):
-            raise GffeError(f"playback: fps must be positive, got {self.fps}")
-        if not 0 <= self.n <= MOST_GENERATED:
-            raise GffeError(f"playback: n must be 0 to {MOST_GENERATED} generated frames, got {self.n}")
-        times = self.times
-        if times is not None and len(times) != self.count:
-            raise GffeError(f"playback: {len(times)} times for {self.count} rendered frames")
-        if times is not None and not all(a < b < math.inf for a, b in zip((-math.inf, *times), times, strict=False)):
-            raise GffeError("playback: times must be finite and increase")
 
     @property
     def slots(self) -> int:
@@ -190,8 +175,6 @@ class Playback:
 
     @mode.setter
     def mode(self, mode: str) -> None:
-        if mode not in MODES:
-            raise GffeError(f"playback: mode must be one of {', '.join(MODES)}, got {mode!r}")
         self._overtake()
         self._mode = mode
 
@@ -202,8 +185,6 @@ class Playback:
 
     @speed.setter
     def speed(self, speed: float) -> None:
-        if not math.isfinite(speed):
-            raise GffeError(f"playback: speed must be a number, got {speed}")
         self._speed = min(max(float(speed), SPEEDS[0]), SPEEDS[1])
 
     @property
@@ -220,13 +201,11 @@ class Playback:
         """Return mode, speed and loop, as plain JSON to remember."""
         return {"mode": self._mode, "speed": self._speed, "loop": self._loop}
 
-    def restore(self, preferences: dict) -> None:
+    def restore(self, saved: dict) -> None:
         """Restore the result of `preferences`. Damaged values are ignored."""
-        for name in self.preferences():
-            value = preferences.get(name)
-            if name != "loop" or isinstance(value, bool):
-                with suppress(GffeError, TypeError):
-                    setattr(self, name, value)
+        for name, usual in self.preferences().items():
+            if is_sound(saved.get(name), usual, MODES if name == "mode" else ()):
+                setattr(self, name, saved[name])
 
     @property
     def playing(self) -> bool:

@@ -5,11 +5,11 @@ from __future__ import annotations
 import contextlib
 import os
 import re
-import shutil
 import tempfile
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import Future, wait
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -17,12 +17,7 @@ from gffe_cl.captures.offline.run import _dump_channels
 from gffe_cl.captures.sequence.exr import write_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import replacing
-
-if TYPE_CHECKING:
-    from gffe_cl.engine.inspection.layers import LayerSpec
-from concurrent.futures import Future, wait
-from dataclasses import dataclass, replace
-
+from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.jobs import Jobs
 from ..picture.canvas import read
 from ..picture.current_frame import Contents
@@ -58,39 +53,22 @@ def save_layers_exr(
     cancelled: Callable[[], bool] = lambda: False,
     on_layer: Callable[[], None] = lambda: None,
 ) -> list[Path]:
-    """Write each layer to `folder`/<layer>.exr, its channels named after its components ("Y" for a single one, "1.x" …
-    for planes), float16 or float32. Returns the paths, none if `cancelled`, called before each layer, returned true.
-    `on_layer` is called after each.
-
-    `folder` is made if only it is missing. Then, and when GffeError is raised, no file has been added or changed.
+    """Write each layer to the new `folder`/<layer>.exr, its channels named after its components ("Y" for a single one,
+    "1.x" … for planes), float16 or float32. Returns the paths, none if `cancelled`, called before each layer, returned
+    true. `on_layer` is called after each. Then, and when GffeError is raised, there is no such folder.
     """
-    folder = Path(folder)
-    if not images:
-        raise GffeError(f"{folder}: there are no layers to save")
-    with _faults(folder, "the layers"):
-        made = not folder.is_dir()
-        if made:
-            folder.mkdir()
-        written = []
-        try:
-            written = _write_all(folder, images, specs, cancelled, on_layer)
-        finally:
-            if made and not written:
-                shutil.rmtree(folder, ignore_errors=True)
-        return written
-
-
-def _write_all(folder: Path, images, specs, cancelled, on_layer) -> list[Path]:
-    """Write all layers, and return their paths, none if cancelled. All are whole in a folder of their own before the
-    first one gets its name."""
-    with tempfile.TemporaryDirectory(prefix=".layers.", dir=folder, ignore_cleanup_errors=True) as staging:
+    with (
+        _faults(folder, "the layers"),
+        tempfile.TemporaryDirectory(prefix=".layers.", dir=folder.parent, ignore_cleanup_errors=True) as staging,
+    ):
+        whole = Path(staging) / "whole"
+        whole.mkdir()
         for name, image in images.items():
             if cancelled():
                 return []
-            write_channels(Path(staging) / f"{name}.exr", _channels(specs[name], np.asarray(image)))
+            write_channels(whole / f"{name}.exr", _channels(specs[name], np.asarray(image)))
             on_layer()
-        for name in images:
-            os.replace(Path(staging) / f"{name}.exr", folder / f"{name}.exr")
+        whole.rename(folder)
     return [folder / f"{name}.exr" for name in images]
 
 

@@ -24,16 +24,8 @@ THEMES = ("dark", "light")
 def default_path() -> Path | None:
     """Return the path of viewer.json in the user's folder for configuration (Linux: $XDG_CONFIG_HOME or ~/.config, then
     gffe-cl); None if the user has no home folder."""
-    folder, old = platformdirs.user_config_path("gffe-cl", appauthor=False), _unix_folder()
-    if not folder.is_absolute():
-        folder = old
+    folder = platformdirs.user_config_path("gffe-cl", appauthor=False)
     return folder / "viewer.json" if folder.is_absolute() else None
-
-
-def _unix_folder() -> Path:
-    """Return the folder for configuration on Linux."""
-    given = os.environ.get("XDG_CONFIG_HOME", "")
-    return Path(given if os.path.isabs(given) else os.path.expanduser(os.path.join("~", ".config"))) / "gffe-cl"
 
 
 def can_save() -> bool:

@@ -17,20 +17,20 @@ import numpy as np
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import FRAME_GROUP, LayerSpec
 from gffe_cl.engine.options import OPTIONS
-from gffe_cl.lab.metrics import METRICS, squared_error
-from ..engine.figures import NEEDED_BY_REGION, displayed, psnr_by_region, region_labels
+from gffe_cl.lab.metrics import METRICS, RegionErrors
+from ..engine.figures import NEEDED_BY_REGION, displayed, region_masks
 from ..engine.jobs import Jobs
 from ..engine.messages import Failure, Frame, Key, Recipe, Setup
 from ..engine.store import Store, Want
 from ..picture.displays import FrameInfo
 from .parameters import ALWAYS, UPSCALING
-from .survey import NO_B, Side
+from .survey import NO_B
 
 _PATIENCE = 4  # frames of the interface that a study goes on after it was shown
 _AHEAD = 2  # answers that are made at once
 _MOST_SLOTS = 120  # of a row of pixels
 _OF_ROWS = ("color", "depth", "motion", "mask", "label", "scalar")
-ALL = "all"  # the whole image, beside its regions
+ALL = "whole"  # the image, beside its regions
 
 
 @dataclass(frozen=True)
@@ -40,7 +40,7 @@ class Here:
     Attributes
     ----------
     slot : int
-    a, b : Side, Side or None
+    a, b : Recipe, Recipe or None
     layers : tuple of LayerSpec
         All of A.
     shown : str
@@ -55,8 +55,8 @@ class Here:
     """
 
     slot: int
-    a: Side
-    b: Side | None
+    a: Recipe
+    b: Recipe | None
     layers: tuple[LayerSpec, ...]
     shown: str
     pixel: tuple[int, int] | None
@@ -232,7 +232,7 @@ class Differing(Study):
         groups: dict[Hashable, frozenset[str]] = {}
         for spec in _by_stage(here.layers):
             groups[_stage_of(spec)] = groups.get(_stage_of(spec), frozenset()) | {spec.name}
-        sides = here.a.recipe, here.b.recipe
+        sides = here.a, here.b
         return {
             stage: tuple(Want(Key(recipe, here.slot), layers, keep=False) for recipe in sides)
             for stage, layers in groups.items()
@@ -324,27 +324,24 @@ class Ablation(Study):
         return None
 
     def wanted(self, here: Here) -> dict[Hashable, tuple[Want, ...]]:
-        whole = Want(Key(here.a.recipe, here.slot), NEEDED_BY_REGION, keep=False)
+        whole = Want(Key(here.a, here.slot), NEEDED_BY_REGION, keep=False)
         return {
             name: (whole, replace(whole, key=Key(here.recipe(without(here.a.setup, name)), here.slot)))
             for name in modules_of(here.a.setup)
         }
 
     def find(self, here: Here, name: Any, *frames: Frame) -> dict[str, float]:
-        whole, part = frames
-        labels = region_labels(whole, here.exposure)
-        errors = [squared_error(*displayed(frame, here.exposure)) for frame in (whole, part)]
-        if errors[0].shape != errors[1].shape:
-            return {}
-        levels = [psnr_by_region(labels, error) for error in errors]
-        for level, error in zip(levels, errors, strict=True):
-            level[ALL] = METRICS["psnr"].of_mean(float(error.mean()))
-        return {region: levels[0][region] - levels[1][region] for region in levels[0]}
+        regions, levels = region_masks(frames[0], here.exposure), []
+        for frame in frames:
+            errors = RegionErrors()
+            errors.add(*displayed(frame, here.exposure), regions, [METRICS["psnr"]])
+            levels.append({region: errors.figure("psnr", region) for region in regions})
+        return {region: levels[0][region] - levels[1][region] for region in regions}
 
     @property
     def sorted(self) -> list[tuple[str, dict[str, float]]]:
         """The modules whose gain is known, the largest first."""
-        known = [(str(name), gains) for name, gains in self.found.items() if isinstance(gains, dict) and gains]
+        known = [(str(name), gains) for name, gains in self.found.items() if isinstance(gains, dict)]
         return sorted(known, key=lambda one: -one[1][ALL])
 
 
@@ -379,7 +376,7 @@ class OverTime(Study):
         slots = [slot for slot in here.slots if first <= slot < first + _MOST_SLOTS]
         layers = frozenset({here.shown})
         onward = sorted(slots, key=lambda slot: (slot < here.slot, slot))  # a pipeline goes on, and begins anew once
-        return {slot: (Want(Key(here.a.recipe, slot), layers, keep=False),) for slot in onward}
+        return {slot: (Want(Key(here.a, slot), layers, keep=False),) for slot in onward}
 
     def subject(self, here: Here) -> Hashable:
         return here.pixel and here.pixel[1]

@@ -4,26 +4,17 @@ from __future__ import annotations
 
 from bisect import bisect_right
 from collections.abc import Callable, Mapping, Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
 from ..engine.figures import NEEDED, QUANTITIES, Figures, Measurements
-from ..engine.messages import Failure, Frame, Key, Recipe, Setup
+from ..engine.messages import Failure, Frame, Key, Recipe
 from ..engine.store import Store, Want
 from .playback import Playback
 
 NO_B = "B is a layer. K keeps settings as B"
 _AHEAD = 3  # slots that are wanted, or wait to be measured, at once
 _HISTORY = 2  # rendered frames before the one that a slot is made of
-
-
-@dataclass(frozen=True)
-class Side:
-    """A or B: its setup, and the recipe by which its figures are known."""
-
-    setup: Setup
-    recipe: Recipe
 
 
 class Survey:
@@ -35,7 +26,7 @@ class Survey:
         Whether slots are measured that are not known yet.
     quantity : str
         The one of `QUANTITIES` that is plotted, and by which frames are found.
-    a, b : Side or None
+    a, b : Recipe or None
         What is surveyed; B where settings are compared.
     resets : sequence of int
         Rendered frames that have none before them, in order. Slots without two rendered frames of history are plotted,
@@ -45,15 +36,15 @@ class Survey:
     def __init__(self, store: Store, measured: Measurements, playback: Playback):
         self._store, self._measured, self._playback = store, measured, playback
         self.on, self.quantity = False, "psnr"
-        self.a: Side | None = None
-        self.b: Side | None = None
+        self.a: Recipe | None = None
+        self.b: Recipe | None = None
         self.resets: Sequence[int] = ()
         self._wants: list[Want] = []
         self._found: tuple[str, list[int], int] | None = None  # how, the slots in order, and the one gone to
 
     # ---- measuring -----------------------------------------------------------------------------------------
 
-    def update(self, a: Side, b: Side | None, exposure: float, may_run: bool) -> list[Want]:
+    def update(self, a: Recipe, b: Recipe | None, exposure: float, may_run: bool) -> list[Want]:
         """Have the slots measured that are there, and return those that are missing. Call once per frame of the
         interface; `may_run`: whether there is nothing else to do."""
         self.a, self.b = a, b
@@ -79,7 +70,7 @@ class Survey:
     @property
     def progress(self) -> tuple[int, int]:
         """Slots that are known, and all of them, of A and B together; once where both are the same."""
-        slots, recipes = self.slots, {side.recipe for side in self._named.values()}
+        slots, recipes = self.slots, set(self._named.values())
         known = sum(len(self._known(recipe) & set(slots)) for recipe in recipes)
         return known, len(slots) * len(recipes)
 
@@ -97,19 +88,19 @@ class Survey:
         slots, here, coming = self.slots, self._playback.slot, self._measured.surveying
         order = [slot for slot in slots if slot >= here] + [slot for slot in slots if slot < here]
         for side in self._named.values():
-            known = self._known(side.recipe)
-            missing = [key for slot in order if slot not in known and (key := Key(side.recipe, slot)) not in coming]
+            known = self._known(side)
+            missing = [key for slot in order if slot not in known and (key := Key(side, slot)) not in coming]
             if missing:
                 return [Want(key, NEEDED, keep=False) for key in missing[: max(_AHEAD - len(coming), 0)]]
         return []
 
     # ---- results -------------------------------------------------------------------------------------------
 
-    def figures(self, side: Side | None) -> dict[int, Figures]:
+    def figures(self, side: Recipe | None) -> dict[int, Figures]:
         """Return the figures of A or B by slot."""
-        return {} if side is None else self._measured.of(side.recipe)
+        return {} if side is None else self._measured.of(side)
 
-    def curve(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def curve(self, side: Recipe | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
         """Return slots and values of a quantity, in order."""
         quantity = quantity or self.quantity
         known = sorted((s, f.values[quantity]) for s, f in self.figures(side).items() if quantity in f.values)
@@ -131,12 +122,12 @@ class Survey:
         return [slot for slot in common if self._has_history(int(slot))] or common
 
     @property
-    def _named(self) -> dict[str, Side]:
+    def _named(self) -> dict[str, Recipe]:
         return {name: side for name, side in (("A", self.a), ("B", self.b)) if side is not None}
 
-    def _counted(self, side: Side | None, quantity: str | None = None) -> tuple[np.ndarray, np.ndarray]:
+    def _counted(self, side: Recipe | None) -> tuple[np.ndarray, np.ndarray]:
         """Return those slots and values of `curve` that have history, or all if none has."""
-        xs, ys = self.curve(side, quantity)
+        xs, ys = self.curve(side)
         counted = np.array([self._has_history(int(x)) for x in xs], bool)
         return (xs[counted], ys[counted]) if counted.any() else (xs, ys)
 

@@ -28,7 +28,7 @@ from .app import App
 
 _EXPOSURE_STEP = 0.5
 _NEAR = 3  # names that are suggested where one is unknown
-_WAYS = ("split", "Split wipe", "W"), ("difference", "Difference", "D"), ("error", "Error map", "M")
+_KEYS = {"split": "W", "difference": "D", "error": "M"}  # of ways of comparing
 LAYERS, _SCRIPT = "Layer", "Script"  # groups of actions that are in no menu
 _LAST = ("Tools", "Panels", "Help")  # menus after those of modules and parameters
 
@@ -175,9 +175,10 @@ ACTIONS = (
     Action("flip", "Show B (hold)", "Compare", "B", lambda app: app.model.comparison.flip(True), opened,
            release=lambda app: app.model.comparison.flip(False)),
     *(
-        Action(f"compare_{way}", text, "Compare", key, lambda app, way=way: app.model.comparison.toggle(way),
-               partial(comparable, way), lambda app, way=way: app.model.view.compare == way)
-        for way, text, key in _WAYS
+        Action(f"compare_{way}", WAYS[way].capitalize(), "Compare", key,
+               lambda app, way=way: app.model.comparison.toggle(way), partial(comparable, way),
+               lambda app, way=way: app.model.view.compare == way)
+        for way, key in _KEYS.items()
     ),
     *(
         Action(f"difference_{how}", f"Difference as {text}", "Compare", "",

@@ -11,13 +11,13 @@ from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from ..picture.displays import COLOR_MAPS, TONE_MAPS, default_display, shown_as
+from ..picture.view import OVERLAYS
 from ..state.captions import legend
 from ..state.model import Model
 from . import widgets
 from .app import App
 from .plot import scale_of
 
-_OVERLAYS = ("none", "edges", "residual motion", "clipping")
 _OVERLAY_HELP = {
     "edges": "Edges of depth are red, of motion green, of color blue: white where all three meet",
     "residual motion": "Motion minus the camera's; its hue is its direction",
@@ -33,7 +33,7 @@ def draw(app: App) -> None:
         lambda on: setattr(model.choices, "overview", on),
         "Every layer as a tile; click one to open it",
     )
-    widgets.choice("overlay", model.view.overlay, list(_OVERLAYS), lambda name: setattr(model.view, "overlay", name))
+    widgets.choice("overlay", model.view.overlay, list(OVERLAYS), lambda name: setattr(model.view, "overlay", name))
     if model.view.overlay in _OVERLAY_HELP:
         widgets.hint(_OVERLAY_HELP[model.view.overlay])
     height = max(imgui.get_content_region_avail().y - app.display_height, hello_imgui.em_size(6))

@@ -12,7 +12,7 @@ from imgui_bundle import imgui
 from gffe_cl.engine.options import PRESETS, Option
 from gffe_cl.lab.metrics import METRICS
 from ..picture.view import DIFFERENCES, ERRORS
-from ..state.comparing import FLIP_HIGH
+from ..state.comparing import FLIP_HIGH, WAYS
 from ..state.model import Model
 from ..state.parameters import by_hand
 from . import widgets
@@ -54,18 +54,14 @@ def _modules(model: Model, options: dict[str, Option]) -> None:
 def _width(listed: list[tuple[str, Option]]) -> float:
     """Return the width of the options' switches below each other, pixels."""
     box = imgui.get_text_line_height() + imgui.get_style().item_inner_spacing.x + 2
-    return box + max(imgui.calc_text_size(_label(option)).x for _, option in listed)
-
-
-def _label(option: Option) -> str:
-    return option.label
+    return box + max(imgui.calc_text_size(option.label).x for _, option in listed)
 
 
 def _module(model: Model, name: str, option: Option) -> None:
     parameters = model.parameters
     reason = parameters.why_not(name)
     widgets.toggle(
-        _label(option),
+        option.label,
         parameters.is_on(name) and reason is None,
         partial(parameters.switch, name),
         parameters.fault(name) or option.sentence,
@@ -99,15 +95,6 @@ def _parameter(model: Model, name: str, option: Option) -> None:
     imgui.end_disabled()
 
 
-_TEXTS = {
-    "off": "off",
-    "split": "split wipe",
-    "flip": "flip (hold B)",
-    "difference": "difference",
-    "error": "error map",
-    "flip error": "FLIP error",
-}
-
 _SETTINGS = "settings "  # before a name, to distinguish it from a layer's
 
 
@@ -116,7 +103,7 @@ def draw_compare(app: App) -> None:
     view = model.view
     widgets.heading("Compare")
     with widgets.in_rows(indent=0.0) as row:
-        for name, text in _TEXTS.items():
+        for name, text in WAYS.items():
             reason = model.comparison.why_not(name)
             row(imgui.get_frame_height() + imgui.get_style().item_inner_spacing.x + imgui.calc_text_size(text).x)
             imgui.begin_disabled(reason is not None)

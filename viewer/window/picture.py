@@ -24,7 +24,6 @@ _VALUES = 3  # that are written into a pixel where it is large enough: so many .
 _LEAST_LETTERS = 8.0  # ... in letters of at least this size, screen pixels at the usual size of letters ...
 _LETTERS_WIDE, _LETTER = 4, 0.55  # ... of which as many have room, each so wide, em
 _ARROW_SPACING = 24.0  # screen pixels
-_ACCENT = (0.35, 0.85, 1.0, 1.0)
 _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
@@ -225,7 +224,7 @@ def _trajectory(model: Model, place, marks) -> None:
     if model.pointing.picked is None:
         return
     x, y = model.pointing.picked
-    accent, warm, unit = imgui.get_color_u32(_ACCENT), imgui.get_color_u32(_WARM), widgets.mark_unit()
+    accent, warm, unit = imgui.get_color_u32(widgets.ACCENT), imgui.get_color_u32(_WARM), widgets.mark_unit()
     half = max(model.view.zoom / 2, 4 * unit)
     middle = place.to_screen(x + 0.5, y + 0.5)
     corners = ImVec2(middle.x - half, middle.y - half), ImVec2(middle.x + half, middle.y + half)
@@ -310,13 +309,10 @@ def _bars(model: Model, origin, width: int, height: int, marks) -> None:
     top, high = 2.4 * em, min(height - 6.5 * em, 11 * em)
     if high < 4 * em or width < 20 * em:
         return
-    for entry in model.captions.legends():
-        shown = entry.legend
-        left = entry.title.startswith("A  ")
+    for side, shown in model.captions.legends():
+        left = side == "A"
         at = origin.x + (0.3 * em if left else width - 0.3 * em), origin.y + top
-        draw = {"ramp": widgets.vertical_bar, "wheel": widgets.small_wheel}.get(shown.kind)
-        if draw is None:
-            continue
+        draw = widgets.vertical_bar if shown.kind == "ramp" else widgets.small_wheel
         _, y0, _, y1 = draw(marks, shown, at, high, right=not left)
         top += 0 if left else y1 - y0 + 0.5 * em
         high = min(high, height - top - 4 * em)
@@ -342,7 +338,6 @@ def _layer_text(model: Model, name: str) -> str:
 
 _LEAST = 9.5  # em: width of a tile; where all do not fit, they are scrolled
 _GAP = 6  # screen pixels
-_ACCENT = (0.35, 0.85, 1.0, 1.0)
 
 
 def _overview(app: App, room: tuple[int, int]) -> None:
@@ -391,7 +386,7 @@ def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
         marks.add_text(ImVec2(left + 4, top + 4), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), why)
     inside = left <= at.x < right and top <= at.y < bottom
     if inside and model.pointing.enabled and imgui.is_item_hovered():
-        marks.add_rect(ImVec2(left, top), ImVec2(right, bottom), imgui.get_color_u32(_ACCENT), 0, 2.0)
+        marks.add_rect(ImVec2(left, top), ImVec2(right, bottom), imgui.get_color_u32(widgets.ACCENT), 0, 2.0)
         imgui.set_tooltip(f"{spec.group}: {spec.label}\n{spec.description}")
         if clicked:
             model.choices.overview = False

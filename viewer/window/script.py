@@ -92,7 +92,7 @@ def take_screenshot(
     model: Model, path: Path, steps: list[tuple[str, str, str]], size: tuple[int, int] | None = None
 ) -> None:
     """Save a picture of the window to `path` after the steps (option, action, argument). Raises GffeError."""
-    _require_picture(path)
+    require_file(path, "picture", (".png",))
     listed = [
         Line(option, action, (argument,) if argument else (), settles=False) for option, action, argument in steps
     ]
@@ -159,7 +159,7 @@ class Director:
 
     def shoot(self, app: App, path: Path) -> None:
         """Save a picture of the window. Raises GffeError."""
-        _require_picture(path)
+        require_file(path, "picture", (".png",))
 
         def save(pixels: np.ndarray) -> None:
             try:
@@ -200,17 +200,10 @@ def _works_beside(model: Model) -> bool:
     return model.survey.busy or model.studies.busy or model.saving.work is not None or examines
 
 
-def _require_picture(path: Path) -> None:
-    if not path.absolute().parent.is_dir():
-        raise GffeError(f"{path}: cannot write: no such folder")
-    if path.suffix.lower() != ".png":
-        raise GffeError(f"{path}: a picture's name must end in .png")
-
-
-def require_film(path: Path) -> None:
-    """Raise GffeError if a film cannot be written to `path`."""
-    if path.suffix.lower() not in FILMS:
-        raise GffeError(f"{path}: a film's name must end in {' or '.join(FILMS)}")
+def require_file(path: Path, what: str, endings: tuple[str, ...]) -> None:
+    """Raise GffeError if `what`, a film or a picture, cannot be written to `path`."""
+    if path.suffix.lower() not in endings:
+        raise GffeError(f"{path}: a {what}'s name must end in {' or '.join(endings)}")
     if not path.absolute().parent.is_dir():
         raise GffeError(f"{path}: cannot write: no such folder")
 

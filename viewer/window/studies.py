@@ -98,7 +98,7 @@ def draw_ablation(app: App) -> None:
 
 def _ablation_table(model: Model) -> None:
     """Draw a row for each module: the gain over the image, and in the regions, or as many of them as have room."""
-    number, names = hello_imgui.em_size(2.8), max(imgui.calc_text_size(_label(name)).x for name in OPTIONS)
+    number, names = hello_imgui.em_size(2.8), max(imgui.calc_text_size(OPTIONS[name].label).x for name in OPTIONS)
     room = imgui.get_content_region_avail().x - min(names, hello_imgui.em_size(8))
     found = model.studies.ablation.sorted
     regions = [region for region in REGIONS if any(not math.isnan(gains[region]) for _, gains in found)]
@@ -117,11 +117,11 @@ def _ablation_table(model: Model) -> None:
     for name, gains in found:
         imgui.table_next_row()
         imgui.table_next_column()
-        text = widgets.cut(_label(name), imgui.get_content_region_avail().x)
+        text = widgets.cut(OPTIONS[name].label, imgui.get_content_region_avail().x)
         if imgui.selectable(f"{text}###ablation {name}", False, imgui.SelectableFlags_.span_all_columns.value)[0]:
             _compare(model, name)
         told = "\n".join(f"{region}: {_gain(gains[region])} dB" for region in (ALL, *REGIONS) if region in gains)
-        widgets.tooltip(f"{_label(name)}\n{told}")
+        widgets.tooltip(f"{OPTIONS[name].label}\n{told}")
         for region in (ALL, *regions):
             imgui.table_next_column()
             imgui.text(_gain(gains[region]))
@@ -132,10 +132,6 @@ def with_room(regions: list[str], most: int) -> list[str]:
     """Return at most so many of the regions, in their order."""
     kept = [region for region in _FIRST if region in regions][:most]
     return [region for region in regions if region in kept]
-
-
-def _label(name: str) -> str:
-    return OPTIONS[name].label
 
 
 def _gain(gain: float) -> str:
@@ -150,7 +146,6 @@ def _compare(model: Model, name: str) -> None:
 
 
 _NAME = "over time"  # of the layer on the canvas
-_ACCENT = (0.35, 0.85, 1.0, 1.0)
 _LEAST_HEIGHT = 4.0  # em: height
 
 
@@ -185,7 +180,7 @@ def draw_over_time(app: App) -> None:
 
 def _marks(origin, width: float, height: float, size: tuple[int, int], x: int, row: int) -> None:
     """Mark the picked pixel's column, and the shown frame."""
-    marks, ink = imgui.get_window_draw_list(), imgui.get_color_u32(_ACCENT)
+    marks, ink = imgui.get_window_draw_list(), imgui.get_color_u32(widgets.ACCENT)
     right, down = origin.x + (x + 0.5) / size[0] * width, origin.y + (row + 0.5) / size[1] * height
     tick = 5 * widgets.mark_unit()
     for top, bottom in ((origin.y, origin.y + tick), (origin.y + height - tick, origin.y + height)):

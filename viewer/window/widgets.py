@@ -16,6 +16,7 @@ from ..state.captions import Legend
 from ..state.model import Model
 from ..state.studies import Here, Study
 
+ACCENT = (0.35, 0.85, 1.0, 1.0)  # of the picked pixel, and of what is pointed at
 _RED = ImVec4(0.97, 0.5, 0.45, 1.0), ImVec4(0.75, 0.12, 0.08, 1.0)  # on dark ground, and on light
 _GRABS = imgui.Col_.slider_grab.value, imgui.Col_.slider_grab_active.value
 _LEAST_CONTROL = 5.0  # em: a control narrower than this has its label above

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import Protocol
 
 from imgui_bundle import hello_imgui, imgui
 
@@ -19,17 +18,26 @@ _HELP_COLUMNS = 3
 _ALONE = int(imgui.WindowFlags_.no_docking | imgui.WindowFlags_.no_collapse | imgui.WindowFlags_.always_auto_resize)
 
 
-class Help:
-    """Window with all shortcuts."""
+class Popup:
+    """Window over the panels; `draw` returns whether it has the focus."""
 
-    def __init__(self, actions: Actions):
-        self._actions, self.is_open = actions, False
-
-    def toggle(self) -> None:
-        self.is_open = not self.is_open
+    is_open = False
 
     def close(self) -> None:
         self.is_open = False
+
+    def draw(self) -> bool:
+        raise NotImplementedError
+
+
+class Help(Popup):
+    """Window with all shortcuts."""
+
+    def __init__(self, actions: Actions):
+        self._actions = actions
+
+    def toggle(self) -> None:
+        self.is_open = not self.is_open
 
     def draw(self) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
@@ -73,25 +81,18 @@ def _columns(table: list) -> list[list]:
     return columns
 
 
-class OpenPath:
-    """Field for a path, without a file dialog. `text`: typed text, None while it is closed; `use` takes the path."""
+class OpenPath(Popup):
+    """Field for a path, without a file dialog. `text`: typed text; `use` takes the path."""
 
     def __init__(self):
-        self.text: str | None = None
+        self.text = ""
         self.use: Callable[[str], object] = str
         self._title, self._of_source = "", True
 
-    @property
-    def is_open(self) -> bool:
-        return self.text is not None
-
     def open(self, use: Callable[[str], object], title: str = "") -> None:
         """Ask for a path; without a `title` it is that of a sequence or a scene."""
-        self.text, self.use = "", use
+        self.is_open, self.text, self.use = True, "", use
         self._of_source, self._title = not title, title or "Open a sequence or a scene"
-
-    def close(self) -> None:
-        self.text = None
 
     def draw(self) -> bool:
         imgui.set_next_window_pos(imgui.get_main_viewport().get_center(), imgui.Cond_.appearing.value, (0.5, 0.5))
@@ -101,7 +102,7 @@ class OpenPath:
             imgui.set_keyboard_focus_here()
         imgui.set_next_item_width(hello_imgui.em_size(34))
         enter = imgui.InputTextFlags_.enter_returns_true.value
-        chosen, self.text = imgui.input_text_with_hint("###path", printable(str(Path.cwd())), self.text or "", enter)
+        chosen, self.text = imgui.input_text_with_hint("###path", printable(str(Path.cwd())), self.text, enter)
         imgui.same_line()
         chosen |= imgui.button("open###open_this")
         if self._of_source:
@@ -120,34 +121,26 @@ _FOUND = 12  # actions that are listed
 _STEPS = 20  # of a number that is not whole, over its usual range
 
 
-class Palette:
-    """Command palette. `text`: typed text, None while it is closed; `at`: index of the chosen hit; `asked`: name of
-    the number being asked for in place of an action."""
+class Palette(Popup):
+    """Command palette. `text`: typed text; `at`: index of the chosen hit; `asked`: name of the number being asked for
+    in place of an action."""
 
     def __init__(self, actions: Actions, parameters: Parameters):
         self._actions, self._parameters = actions, parameters
-        self.text: str | None = None
-        self.at = 0
+        self.text, self.at = "", 0
         self.asked: str | None = None
         self._problem = ""
         self._refocus = False  # the field, which Enter has left
 
     def open(self, text: str = "") -> None:
-        if self.text is not None:  # the field keeps the value from when it became active
+        if self.is_open:  # the field keeps the value from when it became active
             imgui.internal.clear_active_id()
             self._refocus = True
-        self.text, self.at, self.asked = text, 0, None
+        self.is_open, self.text, self.at, self.asked = True, text, 0, None
 
     def ask(self, name: str) -> None:
         """Ask for the value of a number."""
-        self.text, self.asked, self._problem = "", name, ""
-
-    @property
-    def is_open(self) -> bool:
-        return self.text is not None
-
-    def close(self) -> None:
-        self.text = self.asked = None
+        self.is_open, self.text, self.asked, self._problem = True, "", name, ""
 
     def draw(self) -> bool:
         asked = self.asked
@@ -175,7 +168,7 @@ class Palette:
         self._refocus = False
         imgui.set_next_item_width(-1)
         enter = imgui.InputTextFlags_.enter_returns_true.value
-        entered, text = imgui.input_text_with_hint("###command", hint, self.text or "", enter)
+        entered, text = imgui.input_text_with_hint("###command", hint, self.text, enter)
         self.at = 0 if text != self.text else self.at
         self.text = text
         return entered
@@ -184,7 +177,7 @@ class Palette:
         """Draw the field and the actions that match. Return the id of the action that Enter or a click has chosen; ""
         if Enter was pressed where none matches, None until then."""
         entered = self._typed("command")
-        found = actions.search(self.text or "")[:_FOUND]
+        found = actions.search(self.text)[:_FOUND]
         self.at = min(max(self.at + _arrows(), 0), max(len(found) - 1, 0))
         run = found[self.at].id if entered and found else None
         for index, action in enumerate(found):
@@ -210,7 +203,7 @@ class Palette:
             parameters.set(name, stepped(option, value, step))
         if entered:
             try:
-                parameters.set(name, parsed(option, self.text or ""))
+                parameters.set(name, parsed(option, self.text))
             except GffeError as error:
                 self._problem, self._refocus, self.text = str(error), True, ""
             else:
@@ -241,17 +234,6 @@ def stepped(option: Option, value: float | None, steps: int) -> float | int:
 
 
 _ANY_POPUP = imgui.PopupFlags_.any_popup.value
-
-
-class Popup(Protocol):
-    """Window over the panels; `draw` returns whether it has the focus."""
-
-    @property
-    def is_open(self) -> bool: ...
-
-    def close(self) -> None: ...
-
-    def draw(self) -> bool: ...
 
 
 class Stack:

@@ -21,11 +21,11 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.engine.core.errors import GffeError, how_to_install
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded, replacing
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.opencl.program import kernel_digest
-from gffe_cl.lab.metrics import REGIONS, Flicker, RegionErrors, masks, measurable, to_display
+from gffe_cl.lab.metrics import REGIONS, Flicker, RegionErrors, masks, measurable, measured_or_reason, to_display
 from gffe_cl.lab.table.footage import Footage, Shot, Subject, find_labels, open_subject
 from gffe_cl.lab.table.methods import Method, chosen_methods
 from gffe_cl.lab.table.pipelines import DeviceRunner, PipelineRunner
@@ -95,19 +95,6 @@ VIDEO_METRICS = {
         VideoMetric("lpips", "LPIPS", _lpips, digits=4, higher_is_better=False, generated_only=True),
     )
 }
-
-
-def measured_or_reason(
-    metric: VideoMetric, shown: list[np.ndarray], truth: list[np.ndarray], fps: float
-) -> tuple[float | None, str | None]:
-    """Return the figure, or the reason why there is none."""
-    try:
-        return metric.measure(shown, truth, fps), None
-    except ModuleNotFoundError as error:
-        return None, f"needs {error.name}: {how_to_install('metrics')}"
-    except Exception as error:  # whatever other people's packages throw: weights that cannot be fetched, above all
-        text = " ".join(str(error).split())[:160] or type(error).__name__
-        return None, f"cannot run here: {text}"
 
 
 # ---- computing ---------------------------------------------------------------------------------------------------
@@ -220,7 +207,7 @@ def _videos(names: Iterable[str], frames: list[tuple], footage: Footage) -> tupl
         used = [frame for frame in frames if frame[2] or not metric.generated_only]
         shown, truth = ([frame[k] for frame in used] for k in (0, 1))
         per_rendered = len(frames) / max(sum(not made for _, _, made in frames), 1)
-        value, reason = measured_or_reason(metric, shown, truth, footage.fps * per_rendered)
+        value, reason = measured_or_reason(metric.measure, shown, truth, footage.fps * per_rendered)
         if reason:
             skipped[name] = reason
         else:

@@ -6,6 +6,7 @@ import copy
 from collections import OrderedDict
 from collections.abc import Callable, Hashable, Iterable
 from concurrent.futures import Future
+from contextlib import suppress
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -156,16 +157,11 @@ class RecordedSource(Recorded, FrameSource):
     def look_closer(self):
         check, self.check = self.check, None
         if check is not None:
-            self.is_checked = False
             Jobs("check").run(self._suspect, check)
 
     def _suspect(self, check):
-        try:
+        with suppress(GffeError):  # an unreadable frame: displaying it reports the error
             self.suspicions += filter(None, [check()])
-        except GffeError:  # an unreadable frame: displaying it reports the error
-            pass
-        finally:
-            self.is_checked = True
 
     def rendered(self, k):
         make, read = super().rendered, super()._read

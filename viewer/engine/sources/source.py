@@ -25,8 +25,8 @@ class FrameSource(Source, Protocol):
     may be flown; `windowed`: rendered through a window that can be used or not; `flight`: another number whenever other
     poses are flown, 0 for none; `held`: of the frames delivered last, so many stay as they are; `suspicions`: sentences
     about the whole, more of them may come; `changed_on_disk`: files of its frames are others than when it was opened;
-    `nbytes`: bytes of frames that it keeps, unless the source that it is a sibling of counts them; `is_checked`:
-    whether no check of the whole is under way; `format`: the description of `stored` frames.
+    `nbytes`: bytes of frames that it keeps, unless the source that it is a sibling of counts them; `format`: the
+    description of `stored` frames.
     """
 
     target: str = ""
@@ -38,7 +38,6 @@ class FrameSource(Source, Protocol):
     suspicions: Iterable[str] = ()
     changed_on_disk: bool = False
     nbytes: int = 0
-    is_checked: bool = True
     format: FrameFormat | None = None
 
     def sibling(self) -> FrameSource:
