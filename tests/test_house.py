@@ -106,13 +106,13 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_404,
+    "gffe_cl": 38_248,
     "viewer": 12_107,
     "kernels": 10_185,
-    "tests": 28_599,
-    "docs/tools": 3_589,
+    "tests": 28_494,
+    "docs/tools": 3_588,
     "docs/examples": 1_822,
-    "docs/*.md": 4_396,
+    "docs/*.md": 4_395,
 }
 MOST_MODULES = 225
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}

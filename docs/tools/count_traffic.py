@@ -153,7 +153,6 @@ def _make(folder: Path) -> None:
     if correction := pipeline.stages.get(ShadingCorrection.name):
         # Kernels load more or less by the focus mask, which is 0 here.
         correction.use(SubstituteNetwork(np.zeros(HEAD_WEIGHTS, np.float32), lambda shape: 0))
-        correction.works_alone = True  # Oclgrind takes commands of one thread only
         pipeline.stages[ShadingTrend.name].never_still = True  # with vectors it finds no change of light
     *before, last = (turn for turn in loop.turns(1))
     for turn in before:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import Any
@@ -31,22 +31,12 @@ class MadeFrame(Unique):
 
     camera: Camera
     time: float
-    _color: cl.Buffer
+    color: cl.Buffer
     depth: cl.Buffer
     motion: cl.Buffer
     _device: Device
     _size: tuple[int, int]
-    _event: cl.Event = field(kw_only=True)
-
-    @property
-    def color(self) -> cl.Buffer:
-        """The final image, half ×4, linear RGB."""
-        return self._color
-
-    @property
-    def event(self) -> cl.Event:
-        """Event that is complete when the buffers hold the frame."""
-        return self._event
+    event: cl.Event = field(kw_only=True)
 
     def numpy(self, name: str) -> np.ndarray:
         """Copy a buffer to the host, by the attribute's name, and return it: colors (H, W, 3) float16, "depth" (H, W)
@@ -78,7 +68,7 @@ class MadeFrame(Unique):
                 memory.release(queue)
 
     def _spec(self, name: str) -> BufferSpec:
-        names = [n for n in (*_SPECS, *_LIKE) if n == "color" or n in {field.name for field in fields(self)}]
+        names = [n for n in (*_SPECS, *_LIKE) if n in {field.name for field in fields(self)}]
         return _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
 
     def _shape(self, spec: BufferSpec) -> tuple[int, ...]:
@@ -97,7 +87,7 @@ class ExtrapolatedFrame(MadeFrame):
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
     color before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
     one of them to the host, `mapped(name)` reads it in place in a `with` block; `event` is complete when they hold the
-    frame. Where the network works beside the device, asking for `color` or `event` waits for it.
+    frame.
     """
 
     alpha: float
@@ -106,21 +96,3 @@ class ExtrapolatedFrame(MadeFrame):
     disoccluded: cl.Buffer
     filled_by: cl.Buffer
     gae: cl.Buffer
-    _finish: Callable[[], None] | None  # None: nothing waits
-
-    @property
-    def color(self) -> cl.Buffer:
-        """The final image, half ×4, shading correction and overlays included. Waits for the network."""
-        if self._finish:
-            self._finish()
-        return self._color
-
-    @property
-    def event(self) -> cl.Event:
-        """Event that is complete when the buffers hold the frame. Reading it waits until there is one."""
-        if self._finish is None:
-            return self._event
-        self._finish()
-        event = cl.enqueue_marker(self._device.queue)
-        self._device.queue.flush()
-        return event

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import suppress
-from functools import partial
+from threading import RLock
 from typing import Any
 
 import pyopencl as cl
@@ -27,11 +27,11 @@ from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.frames import DisplayedFrames, RenderedFrames, checked_moment
 from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.outputs import Outputs, board_of
-from gffe_cl.engine.pipeline.turns import Turns, pipeline_call
+from gffe_cl.engine.pipeline.turns import pipeline_call
 from gffe_cl.engine.stages.base import Board
 from gffe_cl.engine.stages.buffers import LEAST_ALIGNMENT, BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.commands import milliseconds_of
-from gffe_cl.engine.stages.correction import INPUTS, Correcting, ShadingCorrection
+from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.intake import Intake
 from gffe_cl.engine.stages.measures import SceneCuts
 from gffe_cl.engine.stages.memory import footprint, require_room
@@ -100,7 +100,7 @@ class Pipeline(Unique):
         int64_atomics: bool | None = None,
     ):
         self.device = require_kind(device, Device, "pipeline: device", "an open Device (open_device())")
-        self.turns = Turns()
+        self.turn = RLock()  # of the thread that calls
         target = require_size((width, height), "pipeline: size", whole=True)
         source = target if render_size is None else require_size(render_size, "pipeline: render_size", whole=True)
         self.sizes = Sizes(source, target, max(LEAST_ALIGNMENT, device.alignment))
@@ -123,7 +123,6 @@ class Pipeline(Unique):
         self.options = options
         self.stages: dict[str, Any] = dict(self.board.stages)
         self._correction: ShadingCorrection | None = self.stages.get(ShadingCorrection.name)
-        self.correcting: Correcting | None = None  # the last new frame, if a thread works on it beside the device
         self._outputs = Outputs(self.board, self.stages)
         self.frames = RenderedFrames(self.board, self.fps)
         self.display = DisplayedFrames(self.board, self.frames)
@@ -156,7 +155,6 @@ class Pipeline(Unique):
         pipeline is then as it was before.
         """
         require_kind(options, Options, "change_options: options", "Options")
-        self._finish()
         before = self.board
         self._begin(options)
         before.let_go()
@@ -237,7 +235,6 @@ class Pipeline(Unique):
         events = adopted_events(wait_for, self.device.context, "submit: wait_for")
         if not frame.reset:
             self.frames.require_later(frame.time)
-        self._settle()
         self._decide_cut()
         was_cut = bool(self._is_cut)
         wait_for_all(self.device.queue, events)
@@ -288,7 +285,6 @@ class Pipeline(Unique):
         `submit`, and for events that cannot be waited for."""
         frame = self.frames.needed
         events = adopted_events(wait_for, self.device.context, "present: wait_for")
-        self._settle()
         self._decide_cut()
         wait_for_all(self.device.queue, events)
         picture = self._outputs.picture("rendered")
@@ -304,7 +300,7 @@ class Pipeline(Unique):
             motion=motion,
             _device=self.device,
             _size=self.sizes.target,
-            _event=marker(self.device.queue),
+            event=marker(self.device.queue),
         )
 
     @property
@@ -338,9 +334,8 @@ class Pipeline(Unique):
         wait_for: Iterable[cl.Event | int] = (),
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default: the predicted
-        camera), and return it. The call returns at once, unless the shading correction network works on the device's
-        own processor: then it waits for the network. Otherwise the frame's `color` and `event` wait, and the next
-        `submit` works meanwhile. Reading a buffer waits. With the time of the rendered frame itself and a newer camera
+        camera), and return it. The call returns at once, unless onnxruntime runs the shading correction network: then
+        it waits for the network. Reading a buffer waits. With the time of the rendered frame itself and a newer camera
         it is a late warp (α = 0). It overwrites the last frame made: `wait_for` its readers on other queues.
 
         Warns if the time is more than 16 intervals after the last rendered frame's: mostly it is of another clock or
@@ -353,19 +348,13 @@ class Pipeline(Unique):
         frames = self.frames
         self._decide_cut()
         step = checked_moment(camera, time, frames)
-        self._finish()
         wait_for_all(self.device.queue, events)
-        correction, stages = self._correction, list(self.stages.values())
-        beside = bool(correction and frames.previous and correction.works_beside)
-        if beside:
-            stages = [stage for stage in stages if not isinstance(stage, (*INPUTS, ShadingCorrection))]
-        worked = self.board.perform(step, stages, self._outputs.keep if self._outputs.kept else None)
+        keep = self._outputs.keep if self._outputs.kept else None
+        worked = self.board.perform(step, self.stages.values(), keep)
         frames.note_made(step)
-        self.correcting = correction.begin(step) if beside and correction else None
         gae, depth, motion, dynamic, disoccluded, filled_by = self.board.frame.buffer.values()
         color = self._outputs.picture("extrapolated") or gae
         if composition := self.intake.overlaid:
-            self._finish()
             color, worked = composition.compose(color, step.alpha), None
         assert step.camera is not None
         return ExtrapolatedFrame(
@@ -382,38 +371,20 @@ class Pipeline(Unique):
             source_time=step.frame.time,
             _device=self.device,
             _size=self.sizes.target,
-            _event=worked or marker(self.device.queue),
-            _finish=self._unfinished,
+            event=worked or marker(self.device.queue),
         )
-
-    @property
-    def _unfinished(self) -> Callable[[], None] | None:
-        """Function that makes the final image of the last frame, if that still waits for the network; else None."""
-        correcting = self.correcting
-        return partial(self.turns.read, correcting.result) if correcting and not correcting.done() else None
-
-    def _settle(self) -> None:
-        """Wait until a thread of the network has enqueued its kernels, which belong before all others."""
-        if self.correcting:
-            self.correcting.wait_until_enqueued()
-
-    def _finish(self) -> None:
-        """Wait for the network, and enqueue the work after it."""
-        if self.correcting:
-            self.correcting.result()
 
     # ---- looking inside --------------------------------------------------------------------------------
 
     @pipeline_call
     def named_buffers(self) -> Iterator[tuple[Owner, BufferSpec]]:
         """Return every named buffer that holds the present frame, with its owner: `owner.read(spec.name)` reads it, and
-        its name is "<owner.name>.<spec.name>". Waits for the network.
+        its name is "<owner.name>.<spec.name>".
 
         A stage's own result in the buffers of the extrapolated frame ("warp.color": before the background filled
         anything) is among them once `keep` asked for it.
         """
         self._decide_cut()
-        self._finish()
         return iter([*self._outputs.held([self.display.resampling, self.intake.overlaid])])
 
     def conversions(self) -> Iterator[tuple[Owner, BufferSpec, tuple[int, int]]]:
@@ -432,7 +403,6 @@ class Pipeline(Unique):
         that no stage needs ("correction.refined", "shading.…") are only computed if they are among them. Names of other
         buffers are ignored. Raises GffeError for anything but a collection of texts."""
         wanted = None if names is None else set(require_list(names, str, "keep: names", "a list of texts"))
-        self._finish()
         self._outputs.choose(wanted)
 
     @pipeline_call
@@ -455,7 +425,6 @@ class Pipeline(Unique):
             raise GffeError(
                 f"{what}: the device's queue has no profiling (expected open_device(profiling=True), or such a queue)"
             )
-        self._finish()
         self.device.queue.finish()
         taken, correction = milliseconds_of(self.board.commands.take_events()), self._correction
         others = filter(None, (self.display.presentation, self.intake.composition))

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import time
 from collections.abc import Hashable, Mapping
-from concurrent.futures import ThreadPoolExecutor, wait
 from functools import cached_property
 from typing import Any, ClassVar
 
@@ -12,7 +11,7 @@ import numpy as np
 import pyopencl as cl
 
 from gffe_cl.engine.inference.layers import HEAD_LAYERS, HEAD_WEIGHTS, JUDGEMENT_PLANES
-from gffe_cl.engine.inference.network import CPU, KernelNetwork, Network, load_network
+from gffe_cl.engine.inference.network import KernelNetwork, Network, load_network
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
@@ -28,7 +27,6 @@ _SEEN, _HIDDEN, _SAID = (_CONSTANTS[name] for name in ("SEEN", "HIDDEN", "SAID")
 assert ((_HIDDEN, _SEEN), (_SAID, _HIDDEN)) == HEAD_LAYERS
 
 _IMAGE_PIXELS = 16  # per pixel of its judgement
-INPUTS = (NetworkInput, ShadingTrend, ShadingFlow)  # stages whose work on new frames is for the network alone, in order
 
 
 class ShadingCorrection(Stage):
@@ -138,7 +136,6 @@ class ShadingCorrection(Stage):
         """Create the stage on `board`. Without `load` there are the kernels alone, and no network."""
         super().__init__(board)
         self.network: Any = None  # a Network or a substitute
-        self.works_alone = False  # whether everything is to happen in one thread
         self.runs_on_device = False  # whether the stage before makes `judgement`
         if load:
             on_gpu = board.device.info.kind == "gpu"
@@ -148,9 +145,6 @@ class ShadingCorrection(Stage):
         self._transfers: list[cl.Event] = []  # between these and the device, of the last frame
         self.unusable_pixels = 0
         self.with_refined = False
-        self._true = board.device.buffer(4)
-        cl.enqueue_fill_buffer(board.device.queue, self._true, np.ones(1, np.int32), 0, 4)
-        self._worker: ThreadPoolExecutor | None = None
 
     @cached_property
     def _views(self) -> tuple[HostView, HostView, HostView]:
@@ -165,14 +159,6 @@ class ShadingCorrection(Stage):
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
         return options.corrects_shading
-
-    @property
-    def works_beside(self) -> bool:
-        """Whether the network may run in a thread of its own while the device continues (`begin`). This requires that
-        they are different processors, and that no other stage needs the final image."""
-        same = self.device.info.kind == "cpu" and self.network is not None and self.network.provider == CPU
-        is_last = next(reversed(self.board.stages.values())) is self
-        return is_last and not (same or self.runs_on_device or self.works_alone)
 
     def look_at(self, names: set[str] | None) -> None:
         self.with_refined = names is None or "correction.refined" in names
@@ -190,32 +176,10 @@ class ShadingCorrection(Stage):
         else:
             if not self.runs_on_device:
                 self.infer()
-            self._correct(step)
-
-    def begin(self, step: Step) -> Correcting:
-        """Begin the work of `INPUTS` and `extrapolated` in a thread of its own, and return that work. Until it has
-        enqueued its kernels, only that thread may launch kernels of these stages, and the rendered frame must stay the
-        same."""
-        self._worker = self._worker or ThreadPoolExecutor(1, "gffe network")
-        return Correcting(self, step, self._worker)
-
-    def _prepare(self, step: Step) -> list[cl.Event] | None:
-        """Enqueue the work before the network, and return the events to wait for, or None for a still frame."""
-        for stage in INPUTS:
-            self.board.stages[stage.name].extrapolated(step)
-        if step.previous is None or self.board.stages[ShadingTrend.name].is_still:
-            self.skip()
-            return None
-        events = self._open()
-        self.device.queue.flush()
-        return events
-
-    def _correct(self, step: Step, **given: Any) -> None:
-        within_mask = self.board.options.focus_mask
-        self.judge(step, within_mask, **given)
-        self.compose(step, within_mask)
-        if self.board.options.image_flow:
-            self.launch("follow_flow", step)
+            self.judge(step, self.board.options.focus_mask)
+            self.compose(step, self.board.options.focus_mask)
+            if self.board.options.image_flow:
+                self.launch("follow_flow", step)
 
     def use(self, network: Network | KernelNetwork) -> None:
         """Set the runner of the network from now on: onnxruntime or, for a network of `layers`, the kernels."""
@@ -232,32 +196,24 @@ class ShadingCorrection(Stage):
         self.fill("focus_mask", 0)
 
     def infer(self) -> None:
-        """Fill `judgement`. The network works in the buffers themselves where host and device share memory, else in
-        host memory, with one copy of each buffer."""
+        """Fill `judgement`, and wait for the network. It works in the buffers themselves where host and device share
+        memory, else in host memory, with one copy of each buffer."""
         try:
-            self._run(self._open())
+            events = [event for view in self._views for event in view.open()]
+            for event in events:
+                event.wait()
+            self._copying_milliseconds += self._take_transfers()  # complete by now: they came before these
+            self._transfers = events
+            start = time.perf_counter()
+            self.unusable_pixels += _IMAGE_PIXELS * self.network.run(*(view.array for view in self._views))
+            self._network_milliseconds += (time.perf_counter() - start) * 1e3
         finally:
-            self._close()
+            self._transfers += [event for view in self._views for event in view.close()]
 
-    def _open(self) -> list[cl.Event]:
-        return [event for view in self._views for event in view.open()]
-
-    def _run(self, events: list[cl.Event]) -> None:
-        for event in events:
-            event.wait()
-        self._copying_milliseconds += self._take_transfers()  # complete by now: they came before these
-        self._transfers = events
-        start = time.perf_counter()
-        self.unusable_pixels += _IMAGE_PIXELS * self.network.run(*(view.array for view in self._views))
-        self._network_milliseconds += (time.perf_counter() - start) * 1e3
-
-    def _close(self) -> None:
-        self._transfers += [event for view in self._views for event in view.close()]
-
-    def judge(self, step: Step, within_mask: bool, **given: Any) -> None:
+    def judge(self, step: Step, within_mask: bool) -> None:
         """Fill `correction`; within the mask alone, only where the mask may count."""
         self.launch("choose_flow", step)
-        self.launch("judge", step, asked=self._asked(within_mask), **given)
+        self.launch("judge", step, asked=self._asked(within_mask))
 
     def compose(self, step: Step, within_mask: bool) -> None:
         """Fill `focus_mask` and `color`. Without `within_mask` the whole image is the network's."""
@@ -290,40 +246,3 @@ class ShadingCorrection(Stage):
             taken["network copies"] = copying
         self._network_milliseconds = self._copying_milliseconds = 0.0
         return taken
-
-
-class Correcting:
-    """The final image of one new frame, which a thread makes beside the device, as a Future: it waits for the decision
-    whether the frame is still, enqueues the kernels before the network, and runs the network."""
-
-    def __init__(self, stage: ShadingCorrection, step: Step, worker: ThreadPoolExecutor):
-        self._stage = stage
-        self._step: Step | None = step  # until the work after the network is enqueued: it holds callers' buffers
-        self._prepared = worker.submit(stage._prepare, step)
-        self._ran = worker.submit(self._run)
-
-    def _run(self) -> None:
-        if (events := self._prepared.result()) is not None:
-            self._stage._run(events)
-
-    def wait_until_enqueued(self) -> None:
-        """Wait until the kernels before the network are enqueued."""
-        if self._step is not None:
-            wait([self._prepared])
-
-    def done(self) -> bool:
-        """Return whether the work after the network is enqueued."""
-        return self._step is None
-
-    def result(self) -> None:
-        """Wait for the network, and enqueue the work after it, once."""
-        step, self._step = self._step, None
-        if step is None:
-            return
-        try:
-            self._ran.result()
-        finally:
-            self._stage._close()
-        if self._prepared.result() is not None:
-            # The stage that found what has changed may have seen the next frame.
-            self._stage._correct(step, changed=self._stage._true)

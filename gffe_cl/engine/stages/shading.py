@@ -85,9 +85,9 @@ class ShadingTrend(Stage):
     `is_still`: whether there is nothing for the network to correct, because in no tile of 32×32 pixels more than 8 of
     64 samples move or change by more than 1/256 (encoded). False after a reset, and without a focus mask, where the
     network makes the whole image. The device decides while it works on the rendered frame; `submit` does not wait. The
-    host reads the decision where it is about to wait for the network anyway, behind all other work on the new frame: in
-    the network's thread, where that runs beside the device (`ShadingCorrection.begin`). Where the network runs on the
-    device (`Convolutions`) the host never does, and `is_still` is False: kernels see the decision themselves.
+    host reads the decision where it is about to wait for the network anyway, behind all other work on the new frame.
+    Where the network runs on the device (`Convolutions`) the host never does, and `is_still` is False: kernels see the
+    decision themselves.
     """
 
     name = "shading_trend"

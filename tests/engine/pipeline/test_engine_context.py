@@ -15,7 +15,6 @@ import tiny_frames
 
 from gffe_cl import Device, GffeError, Options, Overlays, Pipeline, open_device
 from gffe_cl.engine.frame.rendered_frame import host_arrays
-from gffe_cl.engine.stages.correction import ShadingCorrection
 
 W, H = 64, 48
 frames = partial(tiny_frames.frames, width=W, height=H)
@@ -262,24 +261,19 @@ def test_work_begins_when_events_are_complete_and_tells_when_it_is_done(device, 
     assert bits(made) == expected_bits(device)
 
 
-@pytest.mark.parametrize("beside", [False, True], ids=["here", "beside"])
-def test_the_event_comes_after_the_network(engine, tmp_path, monkeypatch, beside):
-    """`extrapolate` waits for it, or what asks for the event; that is of the kernels after it."""
-    monkeypatch.setattr(ShadingCorrection, "works_beside", beside)
+def test_the_event_comes_after_the_network(engine, tmp_path):
+    """It is that of the kernels after it."""
     model = scn_models.constant_model(tmp_path / "scn.onnx", delta=0.2)
     pipeline = Pipeline(engine, W, H, replace(PLAIN, shading_correction=True, scn_model=str(model)))
     for k, frame in enumerate(frames(4)):
         pipeline.submit(replace(frame, color=frame.color * np.float16(0.7**k)))  # still frames need no network
-    made, correction = pipeline.extrapolate(), pipeline.stages["correction"]
-    assert bool(pipeline.correcting) == beside and not (beside and pipeline.correcting.done())
-    event = made.event
-    assert not beside or pipeline.correcting.done()
-    event.wait()
+    made = pipeline.extrapolate()
+    made.event.wait()
     out = np.empty((H, W, 4), np.float16)
     cl.enqueue_copy(cl.CommandQueue(engine.context), out, made.color)
     assert out[..., :3].tobytes() == made.numpy("color").tobytes()
     assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
-    assert set(correction.take_network_milliseconds()) == {"network"}
+    assert set(pipeline.stages["correction"].take_network_milliseconds()) == {"network"}
 
 
 def test_events_that_cannot_be_waited_for(device, engine, context):

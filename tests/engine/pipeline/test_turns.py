@@ -11,7 +11,6 @@ from scn_models import constant_model
 from tiny_frames import H, W, frames
 
 from gffe_cl import GffeError, Options, Pipeline
-from gffe_cl.engine.stages.correction import ShadingCorrection
 
 pytestmark = pytest.mark.device
 SECONDS = 20
@@ -82,36 +81,6 @@ def test_one_thread_at_a_time(device, with_network, corrects):
     alone.submit(third)
     here, there = pipeline.extrapolate(), on_another_thread(alone.extrapolate)  # handed over between calls
     assert np.array_equal(here.numpy("color"), on_another_thread(there.numpy, "color"))
-
-
-def test_reading_waits_for_a_call_and_calls_for_reading(device, with_network, monkeypatch):
-    """A frame that waits for the network is finished by whoever reads it first, with the bits of a single thread."""
-    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
-    shown, options = list(frames(4)), with_network
-    pipeline, alone = Pipeline(device, W, H, options), Pipeline(device, W, H, options)
-    for frame in shown[:3]:
-        pipeline.submit(frame)
-        alone.submit(frame)
-    expected = alone.extrapolate().numpy("color")
-    made, correction = pipeline.extrapolate(), pipeline.stages["correction"]
-    assert not pipeline.correcting.done()
-    with ThreadPoolExecutor(1) as pool:
-        with submitting(pipeline, shown[3]):
-            read = pool.submit(made.numpy, "color")
-            with pytest.raises(TimeoutError):
-                read.result(0.2)
-        assert np.array_equal(read.result(SECONDS), expected) and pipeline.correcting.done()
-
-        made, entered, may_end, finish = pipeline.extrapolate(), threading.Event(), threading.Event(), correction._close
-        correction._close = lambda: (entered.set(), may_end.wait(SECONDS), finish())
-        read = pool.submit(made.numpy, "color")
-        assert entered.wait(SECONDS)
-        threading.Timer(0.2, may_end.set).start()
-        following = shown[3]
-        following.time += 1
-        pipeline.submit(following)  # waits instead of being refused: the other thread reads
-        assert may_end.is_set()
-        read.result(SECONDS)
 
 
 def test_several_threads_read_one_frame(device):

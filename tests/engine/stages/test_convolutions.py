@@ -185,17 +185,16 @@ def test_kernels_run_it_on_a_gpu_by_default(device, default_model, monkeypatch):
         monkeypatch.setattr(device, "info", replace(device.info, kind=kind))
         pipeline = Pipeline(device, 40, 24)
         made = pipeline.stages["correction"]
-        assert made.network.provider == provider and not made.works_beside
+        assert made.network.provider == provider
         assert made.runs_on_device == (provider == OPENCL)
 
 
 def test_the_host_waits_for_nothing(device, default_model, monkeypatch):
-    """While the device has not begun with a frame, the next one is made: `extrapolate` returns, without a thread."""
+    """While the device has not begun with a frame, the next one is made: `extrapolate` returns."""
     monkeypatch.setattr(inference, "default_model", default_model)
     pipeline = Pipeline(device, 40, 24, Options(scn_provider=OPENCL, cut_detection=False))
     for frame in moving_light((40, 24), 4):
         made = made_before_the_device_begins(pipeline, frame)
-        assert pipeline._unfinished is None
     assert made.numpy("color").tobytes() != made.numpy("gae").tobytes()
 
 

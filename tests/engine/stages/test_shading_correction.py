@@ -1,13 +1,11 @@
 """The shading correction network in the pipeline, with small models in place of the trained one."""
 
-import threading
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pyopencl as cl
 import pytest
-from network_stages import made_before_the_device_begins
 from scn_models import CANDIDATES, FLOAT, FRAMES, constant_model, look_model, movers_model, pooling_model, save
 from synthetic import Rect, Rects, camera
 from twin_cases import run
@@ -17,7 +15,6 @@ from gffe_cl.engine.inference import network as inference
 from gffe_cl.engine.inference.layers import HEAD_WEIGHTS, OUTPUT, shapes_at
 from gffe_cl.engine.inference.network import load_network
 from gffe_cl.engine.opencl.probing import quiet_builds
-from gffe_cl.engine.stages.correction import ShadingCorrection
 
 
 @pytest.fixture
@@ -44,71 +41,8 @@ def test_a_still_frame_needs_no_network(device, model):
     assert not pipeline.stages["shading_trend"].is_still  # a reset forgets it
 
 
-def test_the_next_frame_is_taken_while_the_network_works(device, model, monkeypatch):
-    """Where both have processors of their own; the final images are the same to the bit."""
-    scene, size = Rects([Rect((0, 0, 8), frequency=0.5)]), (40, 24)
-    views = [camera(*size, (0.05 * k, 0, 0)) for k in range(5)]
-    frames = [scene.frame(v, k / 30, *size, (views[max(k - 1, 0)], 0), reset=k == 0) for k, v in enumerate(views)]
-    for k, frame in enumerate(frames):
-        frame.color = frame.color * np.float16(0.7**k)
-    options = Options(scn_model=model(delta=0.2))
-
-    def images(pipeline, before_color):
-        for frame, following in zip(frames, [*frames[1:], None], strict=True):
-            if frame.reset:
-                pipeline.submit(frame)
-            made = pipeline.extrapolate()
-            before_color(pipeline, following)
-            yield bits(made.numpy("color")), bits(made.numpy("gae"))
-            if following and pipeline.frames.current.time < following.time:
-                pipeline.submit(following)
-
-    expected = list(images(Pipeline(device, *size, options), lambda *_: None))
-    assert any(final != gae for final, gae in expected)
-    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
-    overlapping, may_end, runs = Pipeline(device, *size, options), threading.Event(), []
-    correction = overlapping.stages["correction"]
-
-    class Waiting:
-        head, provider = correction.network.head, correction.network.provider
-
-        def run(self, *arrays, network=correction.network):
-            runs.append(may_end.wait(20))
-            may_end.clear()
-            return network.run(*arrays)
-
-    correction.network = Waiting()
-
-    def take_the_next(pipeline, following):
-        if following:
-            pipeline.submit(following)
-        device.queue.finish()  # the frame was taken, and the network has not ended
-        if overlapping.correcting and not overlapping.correcting.done():
-            assert not overlapping.correcting._ran.done()
-            may_end.set()
-
-    assert list(images(overlapping, take_the_next)) == expected
-    assert len(runs) >= 3 and all(runs)
-    assert overlapping.take_timings()["network"] > 0
-
-
-def test_nothing_waits_for_the_decision_that_a_frame_is_still(device, model, monkeypatch):
-    """While the device has not begun with a frame, the next one is made: `extrapolate` returns."""
-    monkeypatch.setattr(ShadingCorrection, "works_beside", True)
-    scene, cam = Rects([Rect((0, 0, 8), frequency=0.5)]), camera(40, 24)
-    pipeline = Pipeline(device, 40, 24, Options(scn_model=model(delta=0.2), cut_detection=False))
-    for k, factor in enumerate((1, 0.6, 0.36, 0.36)):
-        frame = scene.frame(cam, k / 30, 40, 24, (cam, 0), reset=k == 0)
-        frame.color = frame.color * np.float16(factor)
-        made = made_before_the_device_begins(pipeline, frame)
-        assert (bits(made.numpy("color")) == bits(made.numpy("gae"))) == (k != 2)
-    assert pipeline.stages["shading_trend"].is_still
-
-
-@pytest.mark.parametrize("beside", [False, True], ids=["here", "beside"])
-def test_separate_memories_give_the_same_bits(device, model, monkeypatch, beside):
+def test_separate_memories_give_the_same_bits(device, model, monkeypatch):
     """With one copy each way, of the last frame only; where memory is shared there is none."""
-    monkeypatch.setattr(ShadingCorrection, "works_beside", beside)
     path, host_memory, results = model(delta=0.1), cl.mem_flags.ALLOC_HOST_PTR, []
     names = "network_input.frames", "shading_flow.candidates", "correction.judgement"
     for shares in (True, False):
@@ -148,7 +82,6 @@ def test_light_that_flickers_is_left_alone(device, model):
 
 def corrected(device, model, size=(61, 37), **options):
     case = run(device, *size, Options(scn_model=model, **options))
-    assert case.made.color is not None  # on GPUs the network runs in a thread of its own until then
     return case.pipeline, case.made
 
 
