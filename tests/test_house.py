@@ -107,9 +107,9 @@ def absolute(module, path, node):
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
     "gffe_cl": 38_248,
-    "viewer": 12_107,
+    "viewer": 11_995,
     "kernels": 10_185,
-    "tests": 28_494,
+    "tests": 28_422,
     "docs/tools": 3_588,
     "docs/examples": 1_822,
     "docs/*.md": 4_395,

@@ -118,9 +118,9 @@ def view(
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
+    from gffe_cl.viewer.window.running import new_app, run
     from gffe_cl.viewer.window.script import FILMS, parse, play_script, require_file, take_screenshot, unopened
     from gffe_cl.viewer.window.start import leaving, require_display
-    from gffe_cl.viewer.window.start import view as run_viewer
 
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")
@@ -179,7 +179,7 @@ def view(
             given = [(option, action, argument) for option, action, argument in listed if argument is not None]
             take_screenshot(model, screenshot, given, viewer_size)
         else:
-            run_viewer(model, viewer_size)
+            run(new_app(model), viewer_size)
 
 
 def _require_packages() -> None:
@@ -187,7 +187,7 @@ def _require_packages() -> None:
     for name in ("imgui_bundle", "glfw", "moderngl"):  # in this order
         try:
             import_module(name)
-        except Exception as error:  # whatever a broken package throws
+        except (ImportError, OSError) as error:
             reason = " ".join(str(error).split()) or type(error).__name__
             raise GffeError(
                 f"the viewer needs {name.replace('_', '-')}: {reason} (expected: pip install --force-reinstall"

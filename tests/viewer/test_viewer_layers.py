@@ -279,9 +279,9 @@ def test_area_of_a_window():
 
 def test_own_place_in_the_target_seen_through_a_window():
     """A texel in the middle of the part of the rendered image that is shown lies in the middle of the target."""
-    frame = FrameInfo((100, 80), target_size=(200, 160), source_area=(0.1, 0.2, 0.7, 0.9))
+    frame = FrameInfo((100, 80), source_area=(0.1, 0.2, 0.7, 0.9))
     scale_x, scale_y, offset_x, offset_y = frame.own_place(BY_NAME["prediction.target_position"])
-    assert (0.4 * scale_x + offset_x, 0.55 * scale_y + offset_y) == pytest.approx((100, 80))
+    assert (0.4 * scale_x + offset_x, 0.55 * scale_y + offset_y) == pytest.approx((50, 40))
     assert frame.own_place(BY_NAME["background.px_1"]) == (100, 80, 0, 0)
 
 

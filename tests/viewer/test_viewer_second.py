@@ -193,8 +193,9 @@ def test_an_ablation_tells_what_a_module_gains(session):
         model.set("hole_filling", filling)
         model.choices.measuring = True
         session.settle()
-        session.until(lambda: "psnr" in model.metrics.get(3, Figures()).values)
-        scores.append(model.metrics[3].values["psnr"])
+        known = model.measured.of(model.recipe)
+        session.until(lambda known=known: "psnr" in known.get(3, Figures()).values)
+        scores.append(known[3].values["psnr"])
     assert gains["hole_filling"]["whole"] == pytest.approx(scores[0] - scores[1], abs=1e-4)
 
 

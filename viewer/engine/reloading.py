@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import time
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from pathlib import Path
 
 import pyopencl as cl
@@ -21,6 +21,7 @@ from gffe_cl.engine.stages.buffers import Sizes
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.presentation import Composition, Presentation
 from gffe_cl.engine.stages.upload import Upload
+from .sources.recorded import state_of
 
 WATCH_SECONDS = 0.5  # between looks at the kernels' files
 
@@ -58,12 +59,7 @@ class Kernels(dict):
                 self.error = None
                 return False
             self._texts = texts
-            Pipeline(
-                self._device,
-                1,
-                1,
-                Options(upscale=1, shading_inputs=True, shading_correction=False),
-            )
+            Pipeline(self._device, 1, 1, Options(upscale=1, shading_inputs=True, shading_correction=False))
             board = Board(self._device, Sizes((1, 1), (1, 1)))
             Presentation(board)
             Upload(board)
@@ -121,10 +117,6 @@ def _texts(folder: Path) -> dict[str, str]:
     return {path.stem: expand(path.name, folder) for path in folder.glob("*.cl")}
 
 
-def _files() -> list[tuple]:
-    """Return names, times of change (nanoseconds) and sizes (bytes) of the kernels' files."""
-    found = []
-    for path in sorted(kernel_folder().glob("*.[ch]*")):
-        with suppress(OSError):
-            found.append((path.name, path.stat().st_mtime_ns, path.stat().st_size))
-    return found
+def _files() -> dict[Path, tuple[int, int] | None]:
+    """Return the states of the kernels' files."""
+    return {path: state_of(path) for path in kernel_folder().glob("*.[ch]*")}

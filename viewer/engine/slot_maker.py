@@ -42,6 +42,7 @@ from gffe_cl.engine.timing.bench import memory
 from gffe_cl.lab.metrics import focus_mask
 from .messages import Frame, Key, Recipe, rgba_of
 from .reloading import Kernels
+from .sources.recorded import state_of
 from .sources.source import FrameSource
 
 _FAULTS = {  # by fields of `BadPixels`, each a bit of a mask
@@ -379,13 +380,7 @@ class SlotMaker:
 def weights_of(options: Options) -> str:
     """Return the identity of the weights of shading correction; empty where it is off."""
     path = options.weights
-    if path is None:
-        return ""
-    try:
-        state = path.stat()
-    except OSError:
-        return str(path)
-    return f"{path} {state.st_mtime_ns} {state.st_size}"
+    return "" if path is None else f"{path} {state_of(path)}"
 
 
 def _changed_motion(stored: RenderedFrame, used: RenderedFrame, format: FrameFormat | None) -> np.ndarray:

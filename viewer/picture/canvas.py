@@ -105,8 +105,7 @@ class _Program:
         self._program = ctx.program(vertex_shader=vertex, fragment_shader=fragment)
         self._uniforms = {name: self._program[name] for name in self._program}
         self.triangle = ctx.vertex_array(self._program, [])
-        marks = {"label_colors": displays.LABEL_COLORS, "sky": displays.SKY, "mask_off": displays.MASK_OFF}
-        self.set("", _UNITS | marks | {"wheel_center": displays.WHEEL_CENTER})
+        self.set("", _UNITS)
 
     def set(self, prefix: str, values: Mapping[str, Any]) -> None:
         for name, value in values.items():
@@ -126,7 +125,10 @@ def _constants() -> Iterator[str]:
         for number, name in enumerate(listed):
             yield f"#define {prefix}{name.split()[0].upper()} {number}"
     yield f"#define MAPS {len(displays.COLOR_MAPS)}"
-    for name, color in zip(("NEGATIVE", "CLIPPED"), CLIPPING.values(), strict=True):
+    yield f"#define WHEEL_CENTER vec3({displays.WHEEL_CENTER})"
+    yield f"const vec3 label_colors[] = vec3[]({', '.join(f'vec3{color}' for color in displays.LABEL_COLORS)});"
+    colors = zip(("NEGATIVE", "CLIPPED"), CLIPPING.values(), strict=True)
+    for name, color in (*colors, ("SKY", displays.SKY), ("MASK_OFF", displays.MASK_OFF)):
         yield f"#define {name} vec3{color}"
 
 

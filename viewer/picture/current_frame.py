@@ -119,8 +119,7 @@ class Contents:
         assert result is not None
         source, moment, rendered = self.source, result.moment, result.render_size
         area = area_of(moment.render_camera, rendered, moment.display_camera, self.size)
-        cameras = moment.render_camera, moment.previous_camera
-        return FrameInfo(self.size, rendered, self.size, source.exposure, *cameras, source_area=area)
+        return FrameInfo(self.size, rendered, source.exposure, moment.render_camera, moment.previous_camera, area)
 
 
 @dataclass(frozen=True)

@@ -35,8 +35,6 @@ struct Layer {
 uniform Layer layer[2];
 uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color;
 uniform sampler2D color_maps;   /* a row each */
-uniform vec3 label_colors[16], sky, mask_off;
-uniform float wheel_center;
 
 uniform vec2 corner, size;      /* of what is drawn, in the framebuffer */
 uniform vec2 center, display_size;
@@ -128,7 +126,7 @@ vec3 hue_of(const vec2 v) {
 float share_of(const vec2 v, const float scale) { return sqrt(min(length(v) / scale, 1.0)); }
 
 vec3 wheel(const vec2 v, const float scale) {
-    return mix(vec3(wheel_center), hue_of(v * sign(scale)), share_of(v, abs(scale)));
+    return mix(WHEEL_CENTER, hue_of(v * sign(scale)), share_of(v, abs(scale)));
 }
 
 float ramp_position(const int view, const Layer l, const float v) {
@@ -183,8 +181,8 @@ vec3 show(const int i, const vec2 uv) {
     vec4 v = vector_of(i, layer_uv, texel);
     if (v.w == 0.0) return hatch();
     if (view == LABEL) return label_colors[(int(v.x + 0.5) & 15) ^ l.label_flip];
-    if (view == MASK) return v.x != 0.0 ? l.tint : mask_off;
-    if (view == DEPTH && is_sky(v.x)) return sky;
+    if (view == MASK) return v.x != 0.0 ? l.tint : MASK_OFF;
+    if (view == DEPTH && is_sky(v.x)) return SKY;
     if (view == DEPTH && v.x <= 0.0) return hatch();
     if (is_bad(v.xyz)) return checker();
     if (view == MOTION || view == PLACE) return wheel(v.xy, l.motion_scale);

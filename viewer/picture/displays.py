@@ -154,51 +154,51 @@ class FrameInfo:
     ----------
     display_size : (width, height) of the image that is looked at; all layers are stretched over it
     render_size : of the rendered frame; None: as the display
-    target_size : of the extrapolated frame; None: as the display
     exposure : of the sequence
     source, previous : render cameras of the rendered frame shown and of the one before it, where known
-    source_area, target_area : the part (x0, y0, x1, y1) of the rendered and of the extrapolated image that covers the
-        display, in fractions of their sides (see `area_of`)
+    source_area : the part (x0, y0, x1, y1) of the rendered image that covers the display, in fractions of its sides
+        (see `area_of`)
     """
 
     display_size: tuple[int, int]
     render_size: tuple[int, int] | None = None
-    target_size: tuple[int, int] | None = None
     exposure: float = 1.0
     source: Camera | None = None
     previous: Camera | None = None
     source_area: Area = (0.0, 0.0, 1.0, 1.0)
-    target_area: Area = (0.0, 0.0, 1.0, 1.0)
 
     def pixel_of(self, spec: LayerSpec, place: tuple[float, float]) -> tuple[int, int] | None:
         """Return the display pixel at `place`, in fractions of a layer's sides; None out of the display."""
-        x0, y0, x1, y1 = self.area(spec)
-        (x, y), (width, height) = place, self.display_size
-        at = math.floor((x - x0) / (x1 - x0) * width), math.floor((y - y0) / (y1 - y0) * height)
-        return at if 0 <= at[0] < width and 0 <= at[1] < height else None
+        wide, high, left, top = self.placed(spec)
+        x, y = math.floor(place[0] * wide + left), math.floor(place[1] * high + top)
+        return (x, y) if 0 <= x < self.display_size[0] and 0 <= y < self.display_size[1] else None
 
     def area(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         """Return the part of a layer that covers the display, in fractions of its sides. Where texels cover several
         pixels, the last ones may reach beyond the image."""
-        area = self.source_area if grid_of(spec.grid).lies_on_source else self.target_area
+        area, image = (0.0, 0.0, 1.0, 1.0), self.display_size
+        if grid_of(spec.grid).lies_on_source:
+            area, image = self.source_area, self.render_size or self.display_size
         if grid_of(spec.grid).kind in _NOT_LAID:
             return area
-        image = (self.render_size if grid_of(spec.grid).lies_on_source else self.target_size) or self.display_size
         texels = Sizes(image, image).of(spec.grid)
         x, y = (n / (m * side) for n, m, side in zip(image, texels, grid_of(spec.grid).texel, strict=True))
         return area[0] * x, area[1] * y, area[2] * x, area[3] * y
 
+    def placed(self, spec: LayerSpec) -> tuple[float, float, float, float]:
+        """Return (scale x, scale y, offset x, offset y): a position in fractions of a layer's sides is seen at the
+        display position scale · position + offset."""
+        x0, y0, x1, y1 = self.area(spec)
+        wide, high = self.display_size[0] / (x1 - x0), self.display_size[1] / (y1 - y0)
+        return wide, high, -x0 * wide, -y0 * high
+
     def own_place(self, spec: LayerSpec) -> tuple[float, float, float, float]:
         """Return (scale x, scale y, offset x, offset y): a texel's own position in the image that its place lies in is
         scale · (position in fractions of the layer) + offset."""
-        if spec.places_in != "target":
-            width, height = self.render_size or self.display_size
-            return float(width), float(height), 0.0, 0.0
-        size = self.target_size or self.display_size
-        layer, target = self.area(spec), self.target_area
-        scale = [(target[i + 2] - target[i]) / (layer[i + 2] - layer[i]) for i in (0, 1)]
-        offset = [target[i] - layer[i] * scale[i] for i in (0, 1)]
-        return (scale[0] * size[0], scale[1] * size[1], offset[0] * size[0], offset[1] * size[1])
+        if spec.places_in == "target":
+            return self.placed(spec)
+        width, height = self.render_size or self.display_size
+        return float(width), float(height), 0.0, 0.0
 
 
 def area_of(image: Camera, image_size: tuple[int, int], seen: Camera, seen_size: tuple[int, int]) -> Area:

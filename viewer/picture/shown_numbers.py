@@ -28,16 +28,14 @@ class Texels:
     @property
     def scale(self) -> tuple[float, float]:
         """Display pixels per texel."""
-        x0, y0, x1, y1 = self.frame.area(self.spec)
-        wide, high = self.frame.display_size
-        return wide / (x1 - x0) / self.image.shape[1], high / (y1 - y0) / self.image.shape[0]
+        wide, high, *_ = self.frame.placed(self.spec)
+        return wide / self.image.shape[1], high / self.image.shape[0]
 
     @property
     def start(self) -> tuple[float, float]:
         """Position on the display where the first texel begins."""
-        x0, y0, x1, y1 = self.frame.area(self.spec)
-        wide, high = self.frame.display_size
-        return -x0 * wide / (x1 - x0), -y0 * high / (y1 - y0)
+        _, _, x, y = self.frame.placed(self.spec)
+        return x, y
 
     def values(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (N, channels) of these texels: the chosen channel, or all of them."""

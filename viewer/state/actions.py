@@ -9,23 +9,9 @@ from dataclasses import dataclass
 from typing import Any
 
 MODIFIERS = ("Ctrl", "Alt", "Shift", "Super")  # in the order in which they are written
-_NAMED = {
-    "Space": "space",
-    "Left": "left_arrow",
-    "Right": "right_arrow",
-    "Up": "up_arrow",
-    "Down": "down_arrow",
-    "Home": "home",
-    "End": "end",
-    "PageUp": "page_up",
-    "PageDown": "page_down",
-    "Insert": "insert",
-    "Delete": "delete",
-    "Backspace": "backspace",
-    "Enter": "enter",
-    "Escape": "escape",
-    "Tab": "tab",
-}
+_ALIKE = ("Space", "Home", "End", "Insert", "Delete", "Backspace", "Enter", "Escape", "Tab")
+_NAMED = {name: name.lower() for name in _ALIKE} | {"PageUp": "page_up", "PageDown": "page_down"}
+_NAMED |= {name: f"{name.lower()}_arrow" for name in ("Left", "Right", "Up", "Down")}
 _SYMBOLS = {
     "'": "apostrophe",
     ",": "comma",
@@ -120,9 +106,6 @@ class Actions:
     def __iter__(self):
         return iter(self._actions.values())
 
-    def __len__(self) -> int:
-        return len(self._actions)
-
     def __contains__(self, id: str) -> bool:
         return id in self._actions
 
@@ -211,9 +194,6 @@ class Actions:
         """Let go of everything: the window lost the keyboard."""
         for id in list(self._held):
             self._let_go(id)
-
-    def held(self, id: str) -> bool:
-        return id in self._held
 
     def _start(self, action: Action, key: str | None, *argument: str) -> bool:
         self.last_refusal = action.enabled(self._app)

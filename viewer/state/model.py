@@ -11,7 +11,7 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.options import Options
-from ..engine.figures import Figures, Measurements, Timings
+from ..engine.figures import Measurements, Timings
 from ..engine.jobs import Jobs
 from ..engine.messages import Failure, Key, Recipe, Setup
 from ..engine.sources.opening import ScenePlan
@@ -288,19 +288,9 @@ class Model:
     @property
     def inspects(self) -> bool:
         """Whether pixel values are wanted: cached frames are not computed for that during playback."""
-        return not (self.from_cache and self.playback.playing)
-
-    @property
-    def from_cache(self) -> bool:
-        """Whether the displayed frame came from the cache."""
-        return self.showing.from_cache
+        return not (self.showing.from_cache and self.playback.playing)
 
     # ---- what is shown --------------------------------------------------------------------------------------------
-
-    @property
-    def metrics(self) -> dict[int, Figures]:
-        """Return the figures of the present recipe, by slot."""
-        return self.measured.of(self.recipe)
 
     @property
     def n(self) -> int:

@@ -67,7 +67,7 @@ class Pointing:
     pinned : Inspection or None
         Values of the picked pixel.
     picked : (int, int) or None
-        The pixel whose `story` is told; the story is None until it is known.
+        The pixel whose `story` is told.
     enabled : bool
         False: the pointer means nothing.
     """
@@ -80,7 +80,6 @@ class Pointing:
         self._hovered: Pixel | None = None
         self.inspection: Inspection | None = None
         self.pinned: Inspection | None = None
-        self.story: Story | None = None
         self.picked: Pixel | None = None
         self._inspected: Key | None = None  # the slot of the inspection
         self._told: Key | None = None  # the slot of the story
@@ -94,13 +93,13 @@ class Pointing:
     def pick(self, pixel: Pixel | None) -> None:
         """Tell the story of a pixel. None, or a pixel out of the picture: the picked one is forgotten."""
         self.picked = (pixel[0], pixel[1]) if pixel is not None and self._is_inside(pixel) else None
-        self.story = self.pinned = self._told = None
+        self.pinned = self._told = None
         self.inspection = self.inspection if self._pixel else None
 
     def open(self, size: tuple[int, int]) -> None:
         """Start with another picture, of `size` pixels."""
         self._size, self._wants = size, []
-        self.inspection = self.pinned = self.story = self.picked = self._inspected = self._told = None
+        self.inspection = self.pinned = self.picked = self._inspected = self._told = None
 
     def wants(self, key: Key) -> list[Want]:
         """Return the pixels that are wanted of the awaited slot, the picked one first."""
@@ -117,11 +116,16 @@ class Pointing:
                 fault = made.error
                 self._told = want.key if want.pixel == self.picked else self._told
             elif isinstance(made, Inspection):
-                if want.pixel == self.picked and (self.story is None or self._told != want.key):
-                    self.story, self.pinned, self._told = made.story, made, want.key
+                if want.pixel == self.picked and (self.pinned is None or self._told != want.key):
+                    self.pinned, self._told = made, want.key
                 if want.pixel == self._pixel and self.inspection is not made:
                     self.inspection, self._inspected = made, want.key
         return fault
+
+    @property
+    def story(self) -> Story | None:
+        """The story of the picked pixel; None until it is known."""
+        return None if self.pinned is None else self.pinned.story
 
     @property
     def shows_values(self) -> bool:

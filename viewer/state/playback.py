@@ -270,17 +270,9 @@ class Playback:
         self.seek(self.last if self.slot < self.last else self.slots - 1)
 
     @property
-    def in_point(self) -> int | None:
-        return None if self._in is None else self._schedule.slot_at(self._in)
-
-    @property
-    def out_point(self) -> int | None:
-        return None if self._out is None else self._schedule.slot_at(self._out)
-
-    @property
     def first(self) -> int:
         """First slot that is played."""
-        return self.in_point or 0
+        return 0 if self._in is None else self._schedule.slot_at(self._in)
 
     @property
     def last(self) -> int:

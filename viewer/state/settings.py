@@ -17,7 +17,6 @@ _MOST_BYTES = 1 << 20  # of the file
 _MOST_RECENT = 12
 LEAST_WINDOW, _LARGEST_WINDOW = 200, 16384  # pixels
 _LARGEST_SCALE = 8.0
-LAYOUT = 1  # version of the arrangement of panels
 THEMES = ("dark", "light")
 
 
@@ -45,9 +44,8 @@ class Settings:
     """Remembered choices; every field is plain JSON.
 
     `recent`: paths, newest first. `ui_scale`: 0 = automatic. `window_size`: (width, height) pixels. `displays`: how
-    each layer is shown, by its name. `kept`: settings under a name. `panels`: which are open. `layout`: version of the
-    arrangement of panels; another one starts from the default arrangement. `unknown`: what a newer version wrote, kept
-    as it is.
+    each layer is shown, by its name. `kept`: settings under a name. `panels`: which are open. `unknown`: what a
+    newer version wrote, kept as it is.
     """
 
     recent: list[str] = field(default_factory=list)
@@ -60,7 +58,6 @@ class Settings:
     compare: dict = field(default_factory=dict)
     kept: list[dict] = field(default_factory=list)
     panels: dict[str, bool] = field(default_factory=dict)
-    layout: int = LAYOUT
     unknown: dict[str, Any] = field(default_factory=dict)
 
     @classmethod
@@ -161,5 +158,4 @@ _CHECKS: dict[str, Callable[[Any], Any]] = {
     "compare": _dict_of(object),
     "kept": lambda value: [v for v in value if isinstance(v, dict)] if isinstance(value, list) else None,
     "panels": _dict_of(bool),
-    "layout": lambda value: value if type(value) is int and value >= 0 else None,
 }

@@ -18,7 +18,7 @@ from ..picture.canvas import Canvas
 from ..state.actions import Actions
 from ..state.model import Model
 from ..state.navigation import Flight
-from .docks import PANELS, Docks
+from .docks import Docks
 from .windows import Help, OpenPath, Palette, Stack
 
 _LEAST_SCALE, _LARGEST_SCALE = 0.6, 3.0
@@ -58,7 +58,7 @@ class App:
         self.clock: Callable[[], float] = time.perf_counter
         self.captures: list[Callable[[np.ndarray], object]] = []
         self.closing = False
-        self.docks = Docks(PANELS, lambda panel: panel.draw(self), lambda: self.scale)
+        self.docks = Docks(self)
         self.palette, self.help = Palette(self.actions, model.parameters), Help(self.actions)
         self.open_path = OpenPath()
         self.stack = Stack(model.dismiss_messages, self.palette, self.help, self.open_path)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import re
+from collections.abc import Callable
 from difflib import get_close_matches
 from fractions import Fraction
 from functools import partial
@@ -39,50 +40,35 @@ def opened(app: App) -> str | None:
     return None if app.model.source is not None else "nothing is open"
 
 
-def live(app: App) -> str | None:
-    return opened(app) or (None if app.model.source.live else "only in a built-in scene")
+def needs(holds: Callable[[Model], object], reason: str) -> Callable[[App], str | None]:
+    """Return what gives the `reason` why an action cannot run where something is open, but this does not hold."""
+    return lambda app: opened(app) or (None if holds(app.model) else reason)
 
 
-def recorded(app: App) -> str | None:
-    return opened(app) or (None if not app.model.source.live else "only of recorded frames")
-
-
-def on_disk(app: App) -> str | None:
-    return opened(app) or (None if app.model.source.target else "only of a sequence on disk or a scene")
-
-
-def savable(app: App) -> str | None:
-    return opened(app) or ("something is being saved" if app.model.saving.work is not None else None)
-
-
-def computing(app: App) -> str | None:
-    waits = app.model.source is not None and (app.model.stopped or app.model.showing.is_waiting)
-    return None if waits else "nothing is being computed"
+live = needs(lambda model: model.source.live, "only in a built-in scene")
+recorded = needs(lambda model: not model.source.live, "only of recorded frames")
+on_disk = needs(lambda model: model.source.target, "only of a sequence on disk or a scene")
+savable = needs(lambda model: model.saving.work is None, "something is being saved")
+computing = needs(lambda model: model.stopped or model.showing.is_waiting, "nothing is being computed")
+keeps_b = needs(lambda model: model.kept.b is not None, "no settings are kept as B")
+shows_error = needs(
+    lambda model: model.view.compare in ("difference", "error", "flip error"),
+    "show a difference or an error first (D, M)",
+)
+has_left = needs(lambda model: model.walk.can_go_back, "no link was followed")
 
 
 def second(app: App) -> str | None:
     """Return why there are no settings of B to go on with."""
-    kept = app.model.kept.b
-    if kept is None:
-        return opened(app) or "no settings are kept as B"
-    return opened(app) or ("B is pictures, not settings" if kept.place else None)
+    return keeps_b(app) or ("B is pictures, not settings" if app.model.kept.b.place else None)
 
 
 def comparable(way: str, app: App) -> str | None:
     return opened(app) or app.model.comparison.why_not(way)
 
 
-def shows_error(app: App) -> str | None:
-    shown = app.model.view.compare in ("difference", "error", "flip error")
-    return opened(app) or (None if shown else "show a difference or an error first (D, M)")
-
-
 def has_truth(app: App) -> str | None:
     return opened(app) or app.model.contents.why_not("truth")
-
-
-def has_left(app: App) -> str | None:
-    return opened(app) or (None if app.model.walk.can_go_back else "no link was followed")
 
 
 def findable(difference: bool, app: App) -> str | None:

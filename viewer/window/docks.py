@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import traceback
-from collections.abc import Callable
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -62,20 +60,10 @@ _PLAIN_TABS = _FLAGS.no_window_menu_button.value | _FLAGS.no_close_button.value 
 
 
 class Docks:
-    """The panels of an application.
+    """The panels of an application, `of` which `scale` is the size of the interface."""
 
-    Parameters
-    ----------
-    panels : dict
-        Each `Panel` by its name, in order.
-    draw : callable
-        Draws a panel.
-    scale : callable
-        Size of the interface.
-    """
-
-    def __init__(self, panels: dict[str, Panel], draw: Callable[[Panel], None], scale: Callable[[], float]):
-        self._panels, self._draw, self._scale = panels, draw, scale
+    def __init__(self, of: Any):
+        self._app = of
         self._runner: hello_imgui.RunnerParams | None = None  # it stores a copy of the assigned value
         self.hidden = False  # the panels on both sides
         self._before_hiding: list[str] = []
@@ -85,16 +73,16 @@ class Docks:
 
     @property
     def names(self) -> tuple[str, ...]:
-        return tuple(self._panels)
+        return tuple(PANELS)
 
     def arrange(self, runner: hello_imgui.RunnerParams, size: tuple[int, int], open_panels: dict[str, bool]) -> None:
         """Arrange the panels in a window of `size` pixels, before it is opened. `open_panels` has the differences
         from the default."""
         docking = hello_imgui.DockingParams()
         docking.main_dock_space_node_flags |= _PLAIN_TABS
-        left, right = _sides(size[0], self._scale())
-        bottom = min((_TIMELINE_HEIGHT * self._scale() + _second_row(size[0], self._scale())) / size[1], _HIGHEST)
-        above = min(_PLOT_HEIGHT * self._scale() / size[1] / (1 - bottom), _HIGHEST)
+        left, right = _sides(size[0], self._app.scale)
+        bottom = min((_TIMELINE_HEIGHT * self._app.scale + _second_row(size[0], self._app.scale)) / size[1], _HIGHEST)
+        above = min(_PLOT_HEIGHT * self._app.scale / size[1] / (1 - bottom), _HIGHEST)
         docking.docking_splits = [
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
             hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
@@ -103,13 +91,13 @@ class Docks:
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
         ]
         self._plot_beside = (1 - bottom) * (1 - above) < _LEAST_PICTURE
-        docking.dockable_windows = [self._window(name, open_panels) for name in self._panels]
+        docking.dockable_windows = [self._window(name, open_panels) for name in PANELS]
         runner.docking_params, self._runner = docking, runner
 
     def _window(self, name: str, open_panels: dict[str, bool]) -> hello_imgui.DockableWindow:
-        panel = self._panels[name]
+        panel = PANELS[name]
         beside = panel.space == _ABOVE and self._plot_beside
-        space = self._panels["Timeline"].space if beside else panel.space
+        space = PANELS["Timeline"].space if beside else panel.space
         window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
         window.is_visible = open_panels.get(name, panel.is_open)
         window.remember_is_visible = False  # the settings do
@@ -123,11 +111,7 @@ class Docks:
             docked = imgui.is_window_docked()
             narrow = docked and _is_crowded(name)
             if unfolded:
-                try:
-                    self._draw(panel)
-                except Exception:
-                    traceback.print_exc()  # ImGui, in the middle of something, will end the program
-                    raise
+                panel.draw(self._app)
             imgui.end()
             window.is_visible = stays is not False
 
@@ -157,7 +141,7 @@ class Docks:
 
     def hide(self) -> None:
         """Show only the picture and the timeline, or restore the other panels."""
-        sides = [name for name in self._panels if name not in _STAY]
+        sides = [name for name in PANELS if name not in _STAY]
         self.hidden = not self.hidden
         if self.hidden:
             self._before_hiding = [name for name in sides if self.panel(name).is_visible]
@@ -166,7 +150,7 @@ class Docks:
 
     def reset(self) -> None:
         """Restore the default arrangement."""
-        for name, panel in self._panels.items():
+        for name, panel in PANELS.items():
             self.panel(name).is_visible = panel.is_open
         self.hidden = False
         self._running.docking_params.layout_reset = True
@@ -174,7 +158,7 @@ class Docks:
     @property
     def remembered(self) -> dict[str, bool]:
         """Panels by name, and whether they are open, for the next start."""
-        shown = {name: self.panel(name).is_visible for name in self._panels}
+        shown = {name: self.panel(name).is_visible for name in PANELS}
         return shown | (dict.fromkeys(self._before_hiding, True) if self.hidden else {})
 
     # ---- sizes, and stacking order -------------------------------------------------------------------------
@@ -222,7 +206,7 @@ class Docks:
         """Make the plot as high as it has to be at this size of letters, once it is there."""
         nodes = _nodes("Plot")
         if self._plot_due and nodes:
-            wanted = _PLOT_HEIGHT * self._scale() * content_scale()
+            wanted = _PLOT_HEIGHT * self._app.scale * content_scale()
             height = min(wanted, _HIGHEST * imgui.get_io().display_size.y)
             if len(nodes) > 1:
                 height = min(height, nodes[1].size.y / 2)  # the other half is the picture's

@@ -44,7 +44,7 @@ def draw(app: App) -> None:
         imgui.end_disabled()
     _buffers(model)
     pinned = model.pointing.picked is not None
-    widgets.heading("Values of the picked pixel" if pinned else "Values")
+    imgui.separator_text("Values of the picked pixel" if pinned else "Values")
     inspection, stale = model.values
     if inspection is None:
         widgets.hint("Move over the picture; click a pixel for its story")
@@ -73,7 +73,7 @@ def _buffers(model: Model) -> None:
     """Draw the description of the engine's buffers, if they differ from our conventions."""
     result = model.contents.result
     if result is not None and result.buffers:
-        widgets.heading("Buffers as given")
+        imgui.separator_text("Buffers as given")
         for line in result.buffers:
             imgui.text_wrapped(line)
         widgets.tooltip("Where the buffers of this frame differ from our conventions (docs/engines.md)")
@@ -146,7 +146,7 @@ def _is_bad(spec: LayerSpec, values: np.ndarray) -> bool:
 
 
 def _story(model: Model, story: Story) -> None:
-    widgets.heading(f"Story of pixel ({story.pixel[0]}, {story.pixel[1]})")
+    imgui.separator_text(f"Story of pixel ({story.pixel[0]}, {story.pixel[1]})")
     for number, sentence in enumerate(story.sentences):
         imgui.bullet()
         imgui.same_line()

@@ -74,7 +74,7 @@ def _display(model: Model) -> None:
     if spec is None:
         return
     display, change = model.looks.of(spec.name), partial(model.looks.change, spec.name)
-    widgets.heading(
+    imgui.separator_text(
         widgets.cut(f"Display of {spec.label}", imgui.get_content_region_avail().x - hello_imgui.em_size(3))
     )
     view, _ = shown_as(spec, display)

@@ -15,6 +15,7 @@ from ..picture.view import DIFFERENCES, ERRORS
 from ..state.comparing import FLIP_HIGH, WAYS
 from ..state.model import Model
 from ..state.parameters import by_hand
+from ..state.presets import Kept
 from . import widgets
 from .app import App
 
@@ -28,7 +29,7 @@ def draw_modules(app: App) -> None:
         widgets.choice("preset", preset, list(names), model.parameters.use_preset, names)
         widgets.tooltip("Quality against cost.")
         _modules(model, {name: option for name, option in offered.items() if option.is_module})
-        widgets.heading("Parameters")
+        imgui.separator_text("Parameters")
         for name, option in offered.items():
             if option.kind is not bool:
                 _parameter(model, name, option)
@@ -95,13 +96,10 @@ def _parameter(model: Model, name: str, option: Option) -> None:
     imgui.end_disabled()
 
 
-_SETTINGS = "settings "  # before a name, to distinguish it from a layer's
-
-
 def draw_compare(app: App) -> None:
     model = app.model
     view = model.view
-    widgets.heading("Compare")
+    imgui.separator_text("Compare")
     with widgets.in_rows(indent=0.0) as row:
         for name, text in WAYS.items():
             reason = model.comparison.why_not(name)
@@ -128,14 +126,14 @@ def draw_compare(app: App) -> None:
 def _second(model: Model, layers: dict[str, str]) -> None:
     """Draw the choice of B: another layer, or A's layer as kept settings make it."""
     comparison, b = model.comparison, model.kept.b
-    settings = {f"{_SETTINGS}{kept.name}": f"settings: {kept.name}" for kept in model.kept.all}
-    chosen = f"{_SETTINGS}{b.name}" if b is not None and comparison.by_settings else model.view.b or ""
+    settings = {kept: f"settings: {kept.name}" for kept in model.kept.all}
+    chosen = b if comparison.by_settings else model.view.b or ""
 
-    def choose(name: str) -> None:
-        if name in settings:
-            comparison.with_settings(name.removeprefix(_SETTINGS))
+    def choose(one: Kept | str) -> None:
+        if isinstance(one, Kept):
+            comparison.with_settings(one.name)
         else:
-            comparison.with_layer(name)
+            comparison.with_layer(one)
 
     widgets.choice("B", chosen, settings | layers, choose)
 
@@ -143,7 +141,7 @@ def _second(model: Model, layers: dict[str, str]) -> None:
 def _settings(app: App) -> None:
     """Draw the kept settings, and the actions on them."""
     model, kept = app.model, app.model.kept.b
-    widgets.heading("Settings A and B")
+    imgui.separator_text("Settings A and B")
     for name, icon in (
         ("keep", icons.ICON_FA_BOOKMARK),
         ("swap", icons.ICON_FA_RIGHT_LEFT),
@@ -190,7 +188,7 @@ def _error_map(model: Model) -> None:
 
 
 def _quality(model: Model) -> None:
-    widgets.heading("Against ground truth")
+    imgui.separator_text("Against ground truth")
     reason = model.contents.why_not("truth")
     if reason:
         widgets.hint(reason)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from functools import partial
 
 import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
@@ -132,12 +133,8 @@ def _controls(app: App) -> None:
             "Every generated frame, in the background",
         )
         row(em(9))
-        imgui.set_next_item_width(em(9))
-        if imgui.begin_combo("###quantity", QUANTITIES[survey.quantity].label):
-            for name, quantity in QUANTITIES.items():
-                if imgui.selectable(quantity.label, name == survey.quantity)[0]:
-                    survey.quantity = name
-            imgui.end_combo()
+        quantities = {name: quantity.label for name, quantity in QUANTITIES.items()}
+        widgets.choice("quantity", survey.quantity, quantities, partial(setattr, survey, "quantity"), width=9)
         for name, icon in (
             ("worst", icons.ICON_FA_ARROW_DOWN_WIDE_SHORT),
             ("next_worst", icons.ICON_FA_ARROW_RIGHT),

@@ -15,13 +15,6 @@ from gffe_cl.engine.core.errors import GffeError
 from ..state.model import Model
 
 
-def view(model: Model, size: tuple[int, int] | None = None) -> None:
-    """Run the viewer until it is closed. Without `size` the window is as large as last time."""
-    from .running import new_app, run
-
-    run(new_app(model), size)
-
-
 @contextmanager
 def leaving(model: Model) -> Iterator[None]:
     """Close `model` at the end. If the device is still busy, end the program without shutting down the OpenCL

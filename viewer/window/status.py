@@ -76,7 +76,7 @@ def parts(model: Model) -> list[str]:
         if info.render_size != (info.width, info.height):
             told.append(f"rendered {info.render_size[0]}×{info.render_size[1]}")
     if model.contents.result is not None:
-        kept = "from the cache, " if model.from_cache else ""
+        kept = "from the cache, " if model.showing.from_cache else ""
         told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms{_build(model)}")
     return [*told, *model.document.warnings, *_under_pointer(model)]
 

@@ -211,7 +211,7 @@ def draw_doctor(app: App) -> None:
         widgets.hint(f"{len(doctor.findings)} finding{'s' * (len(doctor.findings) > 1)}")
     _findings(model, doctor)
     if model.document.marks:
-        widgets.heading("Frames in the wrong place")
+        imgui.separator_text("Frames in the wrong place")
         with widgets.in_rows() as row:
             for frame, reason in model.document.marks.items():
                 row(imgui.calc_text_size(f"{frame}").x)

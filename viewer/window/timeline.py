@@ -52,29 +52,17 @@ def _transport(app: App) -> None:
         )
         row(width(7))
         modes = {"real time": "drops frames that come too late", "every frame": "waits for each"}
-        _combo("mode", playback.mode, {mode: mode for mode in modes}, partial(setattr, playback, "mode"), 7, modes)
+        widgets.choice("mode", playback.mode, list(modes), partial(setattr, playback, "mode"), modes, 7)
+        widgets.tooltip("\n".join(f"{mode}: {text}" for mode, text in modes.items()))
         row(width(4))
-        _combo(
-            "speed", playback.speed, {speed: f"{speed:g}×" for speed in _SPEEDS}, partial(setattr, playback, "speed"), 4
-        )
+        speeds = {speed: f"{speed:g}×" for speed in _SPEEDS}
+        widgets.choice("speed", playback.speed, speeds, partial(setattr, playback, "speed"), width=4)
         row(width(_LEAST_STATUS))
         imgui.align_text_to_frame_padding()
         long, short = _status(app.model)
         room = imgui.get_content_region_avail().x
         imgui.text(long if imgui.calc_text_size(long).x <= room else widgets.cut(short, room))
         widgets.tooltip(long)
-
-
-def _combo(name: str, value, texts: dict, change, width: float, told: dict | None = None) -> None:
-    """Draw a choice of `width` em without a label; `told`: tooltips by choice."""
-    imgui.set_next_item_width(hello_imgui.em_size(width))
-    if imgui.begin_combo(f"###{name}", texts.get(value, f"{value}")):
-        for choice, text in texts.items():
-            if imgui.selectable(text, choice == value)[0]:
-                change(choice)
-            widgets.tooltip((told or {}).get(choice, ""))
-        imgui.end_combo()
-    widgets.tooltip("\n".join(f"{choice}: {text}" for choice, text in (told or {}).items()))
 
 
 def _status(model: Model) -> tuple[str, str]:

@@ -6,6 +6,7 @@ import math
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from itertools import pairwise
+from typing import Any
 
 from imgui_bundle import ImVec2, ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
@@ -173,22 +174,26 @@ def compact() -> Iterator[None]:
 
 def choice(
     label: str,
-    value: str,
-    options: dict[str, str] | list[str],
-    change: Callable[[str], None],
+    value: Any,
+    options: dict[Any, str] | list[str],
+    change: Callable[[Any], object],
     help_texts: dict[str, str] | None = None,
+    width: float = 0.0,
 ) -> None:
-    """Draw a combo box over keys of `options` (shown by their texts), with a `help_texts` for each."""
+    """Draw a combo box over keys of `options` (shown by their texts), with a `help_texts` for each; with a `width`, in
+    em, without its label."""
     texts = options if isinstance(options, dict) else {name: name for name in options}
-    above = leave_room_for(label)
-    if imgui.begin_combo(f"###{label}", texts.get(value, value)):
+    if width:
+        imgui.set_next_item_width(hello_imgui.em_size(width))
+    above = not width and leave_room_for(label)
+    if imgui.begin_combo(f"###{label}", texts.get(value, f"{value}")):
         for name, text in texts.items():
             chosen = imgui.selectable(text, name == value)[0]
             tooltip((help_texts or {}).get(name, ""))
             if chosen and name != value:
                 change(name)
         imgui.end_combo()
-    if not above:
+    if not (above or width):
         beside(label)
 
 
@@ -226,10 +231,6 @@ def cut(text: str, width: float) -> str:
     return text[:kept] + "…" * (kept < len(text))
 
 
-def heading(text: str) -> None:
-    imgui.separator_text(text)
-
-
 @contextmanager
 def in_rows(indent: float = 1.4) -> Iterator[Callable[[float], None]]:
     """Lay items out side by side, in as many rows as needed, `indent` em from the left. Yields a function to call
@@ -251,16 +252,9 @@ def in_rows(indent: float = 1.4) -> Iterator[Callable[[float], None]]:
         imgui.unindent(hello_imgui.em_size(indent))
 
 
-def swatch(name: str, color: Rgb, size: float) -> None:
-    """Draw a square of a color, `size` em, before a text."""
-    side, flags = hello_imgui.em_size(size), imgui.ColorEditFlags_.no_tooltip.value
-    imgui.color_button(f"###{name}", (*color, 1.0), flags, ImVec2(side, side))
-    imgui.same_line(0, hello_imgui.em_size(0.3))
-
-
 def swatches(labels: tuple[tuple[str, Rgb], ...]) -> None:
     """Draw a color and a text for each single value."""
-    room, used = imgui.get_content_region_avail().x, 0.0
+    room, used, side = imgui.get_content_region_avail().x, 0.0, hello_imgui.em_size(0.9)
     for text, color in labels:
         width = imgui.calc_text_size(text).x + hello_imgui.em_size(2.3)
         if used and used + width < room:
@@ -268,7 +262,9 @@ def swatches(labels: tuple[tuple[str, Rgb], ...]) -> None:
         else:
             used = 0.0
         used += width
-        swatch(f"swatch {text}", color, 0.9)
+        no_tooltip = imgui.ColorEditFlags_.no_tooltip.value
+        imgui.color_button(f"###swatch {text}", (*color, 1.0), no_tooltip, ImVec2(side, side))
+        imgui.same_line(0, hello_imgui.em_size(0.3))
         imgui.text_wrapped(text) if width > room else imgui.text(text)
 
 

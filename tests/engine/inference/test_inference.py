@@ -90,7 +90,7 @@ def test_every_command_says_once_that_kernels_cannot(device, gffe, tmp_path, mon
     else:
         pytest.importorskip("imgui_bundle")
         monkeypatch.setattr("gffe_cl.viewer.window.start.require_display", lambda: None)
-        monkeypatch.setattr("gffe_cl.viewer.window.start.view", lambda model, *_: said.extend(model.messages))
+        monkeypatch.setattr("gffe_cl.viewer.window.running.run", lambda app, *_: said.extend(app.model.messages))
         arguments = ("view", "--cache", "0")
     code, _, err = gffe(*arguments, "--device", device.info.index, *scn)
     remark = "m.onnx: onnxruntime runs the network, as OpenCL kernels cannot"

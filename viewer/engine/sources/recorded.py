@@ -61,7 +61,7 @@ class Rewritten:
         """Watch these files, too."""
         for path in files:
             if path not in self._states:
-                self._states[path] = _state_of(path)
+                self._states[path] = state_of(path)
 
     def look(self) -> bool:
         """Look at some files, in turn. Returns whether any has changed so far."""
@@ -69,11 +69,11 @@ class Rewritten:
         turn = [files[(self._next + i) % len(files)] for i in range(min(len(files), _AT_ONCE))]
         self._next += len(turn)
         known = ((self._states[path], path) for path in turn)
-        self.found |= any(before is not None and _state_of(path) != before for before, path in known)
+        self.found |= any(before is not None and state_of(path) != before for before, path in known)
         return self.found
 
 
-def _state_of(path: Path) -> tuple[int, int] | None:
+def state_of(path: Path) -> tuple[int, int] | None:
     """Return time of change (nanoseconds) and size (bytes) of a file or folder; None if it is missing."""
     try:
         state = path.stat()
@@ -86,7 +86,7 @@ def state_of_capture(place: Path) -> list[tuple[int, int] | None]:
     """Return time of change (nanoseconds) and size (bytes) of the capture's folder and of the files that describe it;
     None for missing ones. `place`: the folder, or a file in it."""
     folder = place if place.is_dir() else place.parent
-    return [_state_of(path) for path in (folder, *(folder / name for name in _DESCRIPTIONS))]
+    return [state_of(path) for path in (folder, *(folder / name for name in _DESCRIPTIONS))]
 
 
 def continues(sequence: Sequence, longer: Sequence) -> bool:
