@@ -1,14 +1,13 @@
 """Recorder of the stages' launches: the stages run while nothing is enqueued.
 
 Launches name their grids, and numbers that change from frame to frame are members of the frame block. So the same is
-launched for images of any size and in all circumstances: `record` compares several.
+launched for images of any size and in all circumstances; tests compare C with Python in others than those here.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
-from itertools import zip_longest
 from typing import Any
 
 import numpy as np
@@ -30,11 +29,10 @@ from gffe_cl.engine.stages.presentation import Composition, Presentation
 from gffe_cl.engine.stages.upload import Upload
 
 MOST_PIXELS = 16384  # each way, of the images that C takes
-# Rendered and extrapolated images: as wide and as high as C takes them, for there are levels that others do not have.
-_SIZES = ((13003, 3), (MOST_PIXELS, 5)), ((2, 14001), (3, MOST_PIXELS))
+# Rendered and extrapolated images: as wide as C takes them, for there are levels that others do not have.
+_SIZES = Sizes((13003, 3), (MOST_PIXELS, 5))
 _GEOMETRY = "depth", "motion"
 _WITH_FIRST = "rendered", "extrapolated", "present"  # occasions that differ without a frame before
-_LAYERS = ("fixed_mask", "ui"), ("fixed_mask", "effects", "effects_motion")  # that frames bring
 
 
 @dataclass(frozen=True)
@@ -83,7 +81,7 @@ class Launches:
 
 
 class _Tape(Commands):
-    """Commands that are recorded in one rehearsal, and not enqueued. `names` are those of the buffers, by identity."""
+    """Commands that are recorded, and not enqueued. `names` are those of the buffers, by identity."""
 
     def __init__(self):
         self.operations: list[Operation] = []
@@ -123,11 +121,11 @@ class _Tape(Commands):
 
 
 class _Rehearsal:
-    """The stages of one size, with a tape."""
+    """The stages, with a tape."""
 
-    def __init__(self, device: Device, options: Options, sizes: Sizes, int64: bool):
-        self.sizes, self.tape = sizes, _Tape()
-        self.board = Board(device, sizes, options, int64)
+    def __init__(self, device: Device, options: Options, int64: bool):
+        self.tape = _Tape()
+        self.board = Board(device, _SIZES, options, int64)
         chosen = {stage.name: stage for stage in stages_of(options)}
         self.stages: dict[str, Any] = {
             name: stage(self.board, load=False) if stage is ShadingCorrection else stage(self.board)
@@ -142,9 +140,9 @@ class _Rehearsal:
             correction.use(load_network(options.scn_model, OPENCL))
         self.board.commands = self.tape
 
-    def perform(self, number: int, first: bool) -> dict[str, list[Operation]]:
-        """Return the operations of each occasion, in one set of circumstances."""
-        step, composition, stages = self._step(number, first), self.all[Composition.name], self.stages.values()
+    def perform(self, first: bool) -> dict[str, list[Operation]]:
+        """Return the operations of each occasion, after a frame or as of the `first` one."""
+        step, composition, stages = self._step(first), self.all[Composition.name], self.stages.values()
         rendered, shown = replace(step, camera=None), self.board.device.buffer(1)
         # The frame with its full depth. For other stages, overlays fixed in place are removed from it.
         whole = replace(step.frame, depth=self.board.device.buffer(1))
@@ -154,7 +152,7 @@ class _Rehearsal:
         composition.swap()  # `take` swaps, too
         composition.take({name: composition.buffer[name] for name in OVERLAYS}, whole)
         found = {"leave_out": self.tape.take()}
-        composition.layers = {name: composition.buffer[name] for name in _LAYERS[number]}
+        composition.layers = {name: composition.buffer[name] for name in OVERLAYS}
         present, with_color = self.all[Presentation.name].present, "rendered" not in pictures_of(stages)
         for occasion, work in (
             ("cut", lambda: [stage.rendered(rendered) for stage in stages if stage.name == SceneCuts.name]),
@@ -176,20 +174,17 @@ class _Rehearsal:
         return {f"{occasion}_first": found[occasion] for occasion in _WITH_FIRST} if first else found
 
     def _convert(self, step: Step, *names: str, is_small: bool = False, is_dilated: bool = False) -> None:
-        width, height = (0, 0) if is_small else self.sizes.source
+        width, height = (0, 0) if is_small else _SIZES.source
         step = replace(step, given={"geometry_width": width, "geometry_height": height})
         places = {name: (self._engine[name], 0) for name in names}
         self.all[Upload.name].convert_places(places, step.frame, step, is_dilated)
 
-    def _step(self, number: int, first: bool) -> Step:
-        """Return a step with random cameras, times and numbers, so that no two rehearsals have a number in common."""
-        rng = np.random.default_rng([number, first])
-        pose = rng.normal(size=(3, 3))
-        cameras = [Camera.from_pose(*pose, *rng.uniform(20, 900, 4)) for _ in range(5)]
-        new, *times = np.cumsum(-rng.uniform(0.01, 0.1, 2 if first else (3, 7)[number])).tolist()
-        device, alpha, exposure = self.board.device, rng.uniform(0.1, 0.9), rng.uniform(0.2, 5)
+    def _step(self, first: bool) -> Step:
+        """Return a step of any cameras and times."""
+        cameras = [Camera(np.eye(4), 40.0 + k, 50.0, 8.0, 8.0) for k in range(5)]
+        device = self.board.device
         frame, previous = (DeviceFrame.allocate(device, (1, 1), *cameras[k : k + 2], time=0.0) for k in (0, 2))
-        return Step(frame, None if first else previous, times, cameras[4], new, alpha, exposure)
+        return Step(frame, None if first else previous, [0.1] if first else [0.1, 0.0], cameras[4], 0.2, 0.5)
 
     def _learn_names(self) -> None:
         """Record the names of all buffers. Without a previous frame, its buffers are the rendered frame's."""
@@ -208,40 +203,19 @@ class _Rehearsal:
 def record(device: Device, options: Options, int64: bool) -> Launches:
     """Return the operations of a pipeline with these options. `int64`: whether keys take 64-bit atomics.
 
-    Raises GffeError where that depends on the size of images or changes from frame to frame, with the detection of user
-    interfaces, and for a network that OpenCL kernels cannot run.
+    Raises GffeError with the detection of user interfaces, and for a network that OpenCL kernels cannot run.
     """
     if options.ui_detection:
         raise GffeError("export: user interface detection is not exported (expected a mask in the overlays, or none)")
-    rehearsals = [_Rehearsal(device, options, Sizes(*sizes), int64) for sizes in _SIZES]
-    operations = {}
-    for first in (True, False):
-        performed = [rehearsal.perform(number, first) for number, rehearsal in enumerate(rehearsals)]
-        for occasion in performed[0]:
-            operations[occasion] = _require_agreement(*(taken[occasion] for taken in performed))
+    rehearsal = _Rehearsal(device, options, int64)
+    operations = rehearsal.perform(first=True) | rehearsal.perform(first=False)
     buffers = {
         f"{owner.name}.{spec.name}": spec
-        for owner in (rehearsals[0].board.frame, *rehearsals[0].all.values())
+        for owner in (rehearsal.board.frame, *rehearsal.all.values())
         for spec in owner.buffers
     }
-    lent = {f"{stage.name}.{name}" for stage, name in rehearsals[0].board.memory.lent}
-    return Launches(operations, buffers, _initial(rehearsals[0]), lent, rehearsals[0].all, rehearsals[0].board.facts)
-
-
-def _require_agreement(expected: list[Operation], take: list[Operation]) -> list[Operation]:
-    """Return the operations that both rehearsals enqueue. Raises GffeError where they differ."""
-    if take == expected:
-        return expected
-    longer, shorter = sorted((expected, take), key=len, reverse=True)
-    one, other = next(pair for pair in zip_longest(longer, shorter) if pair[0] != pair[1])
-    where = f"{one.stage}.{one.kernel or one.kind.lower()}"
-    if other and replace(other, arguments=()) == replace(one, arguments=()):
-        name = next(a.name for a, b in zip(one.arguments, other.arguments, strict=True) if a != b)
-        where = f"kernels/{one.stage}.cl, {one.kernel}: argument '{name}'"
-    raise GffeError(
-        f"export: {where} depends on the image or the frame, which C does not have"
-        " (expected numbers that change to be members of the frame block, kernels/frame.h)"
-    )
+    lent = {f"{stage.name}.{name}" for stage, name in rehearsal.board.memory.lent}
+    return Launches(operations, buffers, _initial(rehearsal), lent, rehearsal.all, rehearsal.board.facts)
 
 
 def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
@@ -250,7 +224,7 @@ def _initial(rehearsal: _Rehearsal) -> dict[str, bytes]:
     for stage in rehearsal.stages.values():
         for spec in stage.buffers:
             if spec.grid == "once" and not spec.part_of:
-                values, buffer = np.empty(spec.nbytes(rehearsal.sizes), np.uint8), stage.buffer[spec.name]
+                values, buffer = np.empty(spec.nbytes(_SIZES), np.uint8), stage.buffer[spec.name]
                 cl.enqueue_copy(stage.device.queue, values, buffer)
                 if values.any():
                     found[rehearsal.tape.names[id(buffer)]] = values.tobytes()

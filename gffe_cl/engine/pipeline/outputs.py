@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
+from contextlib import ExitStack
 from dataclasses import replace
 from types import EllipsisType
 from typing import Any
@@ -62,14 +63,13 @@ def stages_of(options: Options) -> list[type[Stage]]:
 def board_of(device: Device, sizes: Sizes, options: Options, int64: bool | None) -> Board:
     """Return a board with all stages that the options ask for, and their buffers. `int64` is that of `Board`."""
     board = Board(device, sizes, options, int64)
-    try:
+    with ExitStack() as on_failure:
+        on_failure.callback(board.let_go)
         for stage in stages_of(options):
             stage(board)
         board.memory.place()
         _ = board.frame  # made when it is first asked for
-    except BaseException:
-        board.let_go()
-        raise
+        on_failure.pop_all()
     return board
 
 

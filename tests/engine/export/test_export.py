@@ -33,7 +33,6 @@ from gffe_cl.captures.scenes import load_scene
 from gffe_cl.captures.scenes.renderer import SceneRenderer
 from gffe_cl.captures.scenes.sequences import SceneFrames
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.export.recording import record
 from gffe_cl.engine.export.writing import export
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import COLOR_TYPES, DEPTH_TYPES, MOTION_TYPES, TYPES, FrameFormat
@@ -42,8 +41,6 @@ from gffe_cl.engine.frame.window import Jitter, WindowChooser
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.buffers import Owner, grid_of, spread
-from gffe_cl.engine.stages.holes import Downsampled
-from gffe_cl.engine.stages.warp import Warp
 
 W, H = 83, 61
 RGBA, HALF = cl.channel_order.RGBA, cl.channel_type.HALF_FLOAT
@@ -574,35 +571,9 @@ def test_values_that_python_refuses_are_refused(calls):
                 assert not refusal(call, row, value), (str(row), value, call)
 
 
-@pytest.mark.slow
-def test_what_hangs_on_the_size_of_the_image_is_not_exported(device, monkeypatch):
-    def twice(self, step):
-        extrapolated(self, step)
-        if self.sizes.target[0] > 1000:
-            extrapolated(self, step)
-
-    extrapolated = Downsampled.extrapolated
-    monkeypatch.setattr(Downsampled, "extrapolated", twice)
-    with pytest.raises(GffeError, match=r"holes.downsample depends on the image or the frame"):
-        record(device, DEEP, True)
-
-
 def test_a_grid_that_does_not_exist_is_refused():
     with pytest.raises(GffeError, match=r"there is no grid 'diamonds' \(expected "):
         grid_of("diamonds")
-
-
-@pytest.mark.slow
-def test_an_argument_that_c_does_not_know_stops_the_export(device, monkeypatch):
-    """Numbers that change with the image or the frame belong into the frame block, which C fills, too."""
-
-    def other(self, step):
-        self.launch("resolve", step, unfilled_label=self.sizes.target[0] // 9)
-
-    monkeypatch.setattr(Warp, "extrapolated", other)
-    complaint = r"kernels/warp.cl, resolve: argument 'unfilled_label' depends on"
-    with pytest.raises(GffeError, match=complaint):
-        record(device, DEFAULT, True)
 
 
 @pytest.mark.slow
