@@ -1,7 +1,10 @@
-"""Story of a pixel: the stages that made it, from the buffers of its slot."""
+"""Story of a pixel: the stages that made it, from the buffers of its slot.
+
+Kernels of kernels/stories/ run the stages' own functions for one pixel of the slot, and tell what these decide by."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterable
 from dataclasses import replace
 
@@ -18,16 +21,11 @@ from gffe_cl.engine.inspection.buffers import (
     pixel_values,
     read_blocks,
     source_position,
+    told,
 )
 from gffe_cl.engine.inspection.explain.fragment_history import Fragment
 from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Claim, Link, Story
-from gffe_cl.engine.inspection.explain.refusals import (
-    what_was_taken,
-    where_it_reappears_from,
-    why_no_background,
-    why_no_mover,
-)
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import HOLE_FILLINGS, MAX_LEVELS
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -43,6 +41,8 @@ from gffe_cl.engine.stages.buffers import (
 )
 from gffe_cl.engine.stages.measures import Sharpness
 
+_MOVERS, _HOLES = constants("stories/hidden_parts.cl"), constants("stories/holes.cl")
+_DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
 _MIXED = 2 * constants("background.cl")["SAME_LEVEL"]  # relative depth within which texels of a level are mixed
 
 
@@ -75,10 +75,10 @@ def _story(pipeline: Pipeline, shot: Shot, x: int, y: int, values: dict[str, np.
     told_by_stages = (stage.told(values, not shot.moment.alpha) for stage in pipeline.stages.values())
     said = tuple(filter(None, told_by_stages))
     if not shot.moment.alpha:
-        told = Fragment.at(pipeline, shot, source_px)
+        fragment = Fragment.at(pipeline, shot, source_px)
         return (
-            told.story((x, y), "rendered frame", source_px, said or (_as_it_is(shot),))
-            if told
+            fragment.story((x, y), "rendered frame", source_px, said or (_as_it_is(shot),))
+            if fragment
             else Story((x, y), "rendered frame", source_px)
         )
     made = _with_sharpness(_how_it_was_made(pipeline, shot, x, y, source_px, values), pipeline, values)
@@ -141,14 +141,14 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
     if number in (BY_HOLE_FILLING, BY_NOTHING):
         return Story((x, y), label, source_px, sentences=_hole_sentences(pipeline, shot, (x, y), source_px, values))
     if number in (BY_HIDDEN_PART, BY_REAPPEARING):
-        said = _hidden_sentences(pipeline, shot, (x, y), source_px, values, number)
+        said = _hidden_sentences(pipeline, shot, source_px, values, number)
         return Story((x, y), label, source_px, sentences=said)
     if level is not None:
         return _background_story(pipeline, shot, (x, y), source_px, level, values)
     landed = (x, y), number == BY_WARP, bool(values[names.DYNAMIC][0])
-    told = Fragment.at(pipeline, shot, source_px, landed)
+    fragment = Fragment.at(pipeline, shot, source_px, landed)
     where = f"({source_px[0]:.1f}, {source_px[1]:.1f}) of rendered frame {shot.moment.k}" if source_px else "nowhere"
-    own = tuple(c + 0.5 for c in told.pixel) if told else source_px
+    own = tuple(c + 0.5 for c in fragment.pixel) if fragment else source_px
     there, filled = _to_source(shot, own), Link("filled by", names.FILLED_BY)
     start = [Claim(f"Shown by its own fragment, from {where}.", *there)]
     if number == BY_CRACK_CLOSING:
@@ -156,9 +156,9 @@ def _how_it_was_made(pipeline: Pipeline, shot: Shot, x: int, y: int, source_px, 
         start = [Claim(said, *there, filled)]
     elif number != BY_WARP:
         start = [Claim(f"Its color comes from: {label}.", filled)]
-    if told is None:
+    if fragment is None:
         return Story((x, y), label, source_px, sentences=tuple(start))
-    return told.story((x, y), label, source_px, tuple(start))
+    return fragment.story((x, y), label, source_px, tuple(start))
 
 
 def _to_source(shot: Shot, source_px) -> tuple[Link, ...]:
@@ -182,7 +182,7 @@ def _dilated_sentences(shot: Shot, source_px, reached: bool) -> tuple[Claim, ...
     return Claim(f"It comes from {where}.", *there), Claim(said, Link("filled by", names.FILLED_BY))
 
 
-def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, number: int) -> tuple[str, ...]:
+def _hidden_sentences(pipeline: Pipeline, shot: Shot, source_px, values, number: int) -> tuple[str, ...]:
     depth, front = float(values[names.DEPTH][0]), None
     if names.RENDERED_DEPTH in values:
         front = float(values[names.RENDERED_DEPTH][0])
@@ -193,13 +193,8 @@ def _hidden_sentences(pipeline: Pipeline, shot: Shot, pixel, source_px, values, 
         said = "A part of a mover that comes out: the color it had in the frame before, with the mover's motion."
     where = f" at ({source_px[0]:.1f}, {source_px[1]:.1f})" if source_px else ""
     shown = "" if front is None else f", which shows depth {front:.4g} there; the depth here is {depth:.4g}"
-    told: list[str | Claim | None] = [
-        Claim(said, Link("filled by", names.FILLED_BY)),
-        f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}.",
-    ]
-    if number == BY_REAPPEARING:
-        told.append(where_it_reappears_from(pipeline, shot, pixel, source_px))
-    return tuple(filter(None, told))
+    was = f"Moving like that it was{where} of rendered frame {shot.moment.k}{shown}."
+    return Claim(said, Link("filled by", names.FILLED_BY)), was
 
 
 def _entering_sentences(shot: Shot, source_px, size: tuple[int, int]) -> tuple[str, ...]:
@@ -220,16 +215,16 @@ def _hole_sentences(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], sour
     nothing = f"No fragment of rendered frame {shot.moment.k} lands here, nor one that the background remembers."
     if "background" not in pipeline.stages:
         nothing = f"No fragment of rendered frame {shot.moment.k} lands here, and there is no background."
-    refused = [why_no_mover(pipeline, shot, pixel), why_no_background(pipeline, shot, pixel, source_px)]
+    refused = _why_no_mover(pipeline, shot, pixel)
     said: list[str | Claim | None] = [Claim(nothing, Link("disoccluded", names.DISOCCLUDED))]
     if pipeline.options.hole_filling == "none":
-        said += ["Hole filling is off: black, at infinite depth.", *refused]
+        said += ["Hole filling is off: black, at infinite depth.", refused]
         return tuple(filter(None, said))
     filled = f"Hole filling: its color {HOLE_FILLINGS[pipeline.options.hole_filling]}."
     said += [
         Claim(filled, Link("filled by", names.FILLED_BY)),
-        what_was_taken(pipeline, shot, pixel, values),
-        *refused,
+        _what_was_taken(pipeline, shot, pixel, values),
+        refused,
     ]
     if source_px and not all(0 <= c < s for c, s in zip(source_px, pipeline.sizes.source, strict=True)):
         outside = f"It lies outside the rendered image, at ({source_px[0]:.1f}, {source_px[1]:.1f})"
@@ -278,3 +273,109 @@ def _remembered(pipeline, shot, pixel, source_px, level: int, depth: float) -> t
         fits &= np.isinf(z[:, 0])
     best = least(np.hypot(*(px.astype(np.float64) - source_px).T), fits)
     return None if best is None else (float(px[best][0]), float(px[best][1]))
+
+
+# ---- what kernels tell of a pixel that is left to hole filling ------------------------------------------
+
+
+def _index(pipeline: Pipeline, pixel: tuple[int, int]) -> int:
+    return pixel[1] * pipeline.sizes.target[0] + pixel[0]
+
+
+def _why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Claim | None:
+    """Return why hidden parts of movers left the pixel; None where that stage does not run."""
+    stage = pipeline.stages.get("hidden_parts")
+    if stage is None:
+        return None
+    ways, count = len(_DIRECTIONS), _MOVERS["TOLD_OF_MOVER"]
+    hole = _index(pipeline, pixel)
+    given = told(pipeline, "hidden_parts", "fill_hidden_parts", "new", ways * count, hole=hole)
+    found = [
+        (steps * math.hypot(*way), [at + int(steps) * d for at, d in zip(pixel, way, strict=True)], one)
+        for way, one in zip(_DIRECTIONS, given.reshape(ways, count).tolist(), strict=True)
+        if (steps := one[_MOVERS["STEPS"]])
+    ]
+    if not found:
+        return Claim(
+            f"Hidden parts of movers left it: nothing moves within {stage.reach} px, in eight directions.",
+            Link("dynamic", names.DYNAMIC),
+        )
+    away, (x, y), one = min(found, key=lambda mover: mover[0])
+    why = _why_refused(shot, one)
+    if one[_MOVERS["REFUSED_BY"]] == _MOVERS["NOT_REFUSED"]:
+        why += f" But it is {away:.1f} px away; movers own holes within {stage.reach / _MOVERS['BESIDE']:.1f} px."
+    return Claim(
+        f"Hidden parts of movers left it: if it moved as ({x}, {y}) does, the nearest mover, {why}",
+        Link("that mover", names.DYNAMIC, pixel=(x, y)),
+    )
+
+
+def _why_refused(shot: Shot, given: list[float]) -> str:
+    """Return why a mover has no part in a hole, by what the kernel tells of it."""
+
+    def of(name: str) -> float:
+        return given[_MOVERS[name]]
+
+    by = of("REFUSED_BY")
+    if by == _MOVERS["SURFACE_BETWEEN"]:
+        between, mover = of("BETWEEN_Z"), of("MOVER_Z")
+        return f"a surface between them at depth {between:.4g} does not stand before the mover at {mover:.4g}."
+    was = f"it would have been at ({of('PLACE_X'):.1f}, {of('PLACE_Y'):.1f}) of rendered frame {shot.moment.k}"
+    if by == _MOVERS["OUT_OF_FRAME"]:
+        return f"{was}, which is outside of it."
+    shown, expected = of("SHOWN_Z"), of("PART_Z")
+    if by == _MOVERS["NOT_HIDDEN"]:
+        return f"{was}. That shows depth {shown:.4g} there, which does not hide the mover at {expected:.4g}."
+    was += f", behind depth {shown:.4g}."
+    if by == _MOVERS["SEEN_THROUGH"]:
+        before = f"depth {of('PREV_Z'):.4g} at ({of('PREV_X'):.1f}, {of('PREV_Y'):.1f})"
+        was += f" But the frame before shows {before}, which is farther than the mover at {of('PART_PREV_Z'):.4g}."
+    return was
+
+
+def _what_was_taken(
+    pipeline: Pipeline, shot: Shot, pixel: tuple[int, int], values: dict[str, np.ndarray]
+) -> Claim | None:
+    """Return which pixels the hole filling "far-side" took the color from; None for other ways."""
+    if not getattr(pipeline.stages.get("holes"), "reach", 0):
+        return None
+    ways, count, hole = len(_DIRECTIONS), _HOLES["TOLD_OF_SIDE"], _index(pipeline, pixel)
+    given = told(pipeline, "holes", "fill_far_side", "new", ways * count + 1, hole=hole)
+    *sides, is_out = np.split(given, range(count, ways * count + 1, count))
+    met = [side for side in sides if side[_HOLES["MEETS"]]]
+    color = f"The result is ({', '.join(f'{float(c):.3g}' for c in values[names.FINAL][:3])})."
+    if not met:
+        return Claim(f"No direction meets a pixel beside the hole, so it took that of the rendered frame. {color}")
+    used = [side for side in met if side[_HOLES["TAKEN"]]]
+    listed = ", ".join(_listed(pipeline, shot, side) for side in used)
+    links = [Link(f"({x}, {y})", names.FINAL, pixel=(x, y)) for x, y in (_pixel(pipeline, side) for side in used)]
+    if is_out[0]:
+        said = f"It took depth from {listed}, which lie outside of the rendered image here, and color from its border,"
+        said += " or beside the hole where a mover stands there."
+    else:
+        kind = "can be behind" if any(side[_HOLES["CAN_BE_THERE"]] for side in met) else "are the farthest"
+        said = f"Of {len(met)} pixels beside the hole it took the mean of those that {kind}: {listed}."
+    return Claim(f"{said} {color}", *links)
+
+
+def _pixel(pipeline: Pipeline, side: np.ndarray, of: str = "AT") -> tuple[int, int]:
+    index, width = int(side[_HOLES[of]]) - (of == "PAST"), pipeline.sizes.target[0]
+    return index % width, index // width
+
+
+def _listed(pipeline: Pipeline, shot: Shot, side: np.ndarray) -> str:
+    layers = device_layers(pipeline, shot)
+
+    def at(name: str, pixel: tuple[int, int]) -> float:
+        return float(read_blocks(pipeline, {name: (layers[name], *pixel, 1, 1)})[name].flat[0])
+
+    x, y = _pixel(pipeline, side)
+    said = f"({x}, {y}) at depth {at(names.DEPTH, (x, y)):.4g}"
+    if side[_HOLES["ENDS"]]:
+        inverse = float(side[_HOLES["INVERSE"]])
+        return f"{said}, which ends there, before depth {1 / inverse if inverse else math.inf:.4g}"
+    if not side[_HOLES["PAST"]]:
+        return said
+    past = _pixel(pipeline, side, "PAST")
+    what = "a mover" if at(names.DYNAMIC, past) else "a bar"
+    return f"{said} past {what} in front at depth {at(names.DEPTH, past):.4g}"
