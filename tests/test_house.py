@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 38_109,
     "viewer": 11_995,
     "kernels": 10_185,
-    "tests": 28_430,
+    "tests": 28_381,
     "docs/tools": 3_588,
     "docs/examples": 1_822,
     "docs/*.md": 4_395,

@@ -769,7 +769,7 @@ def test_stories_of_holes_and_of_the_background(device):
 
 @pytest.mark.parametrize("scene", ["", "barred"])
 def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene):
-    """The pixels that are named, past bars too, give the depth that is shown, and each stage before tells what it
+    """The pixels that are named, past bars too, give the depth that is shown, and hidden parts of movers tell what they
     looked at."""
     setup, checked, past = Setup(Options(levels=0)), 0, 0
     with running(device, SceneClip(scene)) as engine:
@@ -798,12 +798,6 @@ def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene
             checked += 1
             past += " in front at depth " in taken
         assert checked > 5 and (past > 1 or not scene)
-        if scene:
-            return
-        remembering = stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 255)
-        told = [step for story in remembering for step in story.sentences if "The background left it" in step]
-        assert len(told) == len(remembering)
-        assert any("nothing is remembered" in step or "none lands here" in step for step in told)
 
 
 def test_stories_of_hidden_parts(device):
@@ -829,16 +823,10 @@ def test_stories_of_movers_that_enter(device):
 
 
 def test_stories_of_parts_that_reappear(device):
-    """They lead to the mover in the frame before, and soft silhouettes are not named as the only cause."""
+    """Soft silhouettes are not named as the only cause."""
     with running(device, SceneClip("barred")) as engine:
-        told = stories(engine, Setup(n=3), 31, lambda i: i["frame.filled_by"] == 252)
-        before = ask(engine, 24, Setup(n=3), ("rendered.depth",)).images["rendered.depth"]
-        for story in told:
-            (step,) = (step for step in story.sentences if "So its color is that of frame 6 at (" in step)
-            x, y = step.links[0].pixel
-            met = float(step.rsplit(" ", 1)[1].rstrip("."))
-            around = before[max(y - 1, 0) : y + 2, max(x - 1, 0) : x + 2]
-            assert (np.abs(around - met) <= 0.05 * met).any() and step.links[0].frame == 6
+        for story in stories(engine, Setup(n=3), 31, lambda i: i["frame.filled_by"] == 252):
+            assert "A part of a mover that comes out" in story.sentences[0]
             for sentence in (sentence for sentence in story.sentences if "Soft silhouettes" in sentence):
                 assert "The rest is what was filled in before: " in sentence
 
