@@ -9,21 +9,7 @@ from typing import Annotated, Any
 
 import typer
 
-from gffe_cl.cli import (  # noqa: F401 - registers the commands, in the order of `gffe --help`
-    bench,
-    check,
-    compare,
-    demo,
-    devices,
-    eval,
-    export,
-    import_capture,
-    render,
-    run,
-    selftest,
-    train,
-    view,
-)
+from gffe_cl.cli import captures, devices, measure, run, scenes, train, view  # noqa: F401 - registers the commands
 from gffe_cl.cli.common import app, out, warn_of_networks
 from gffe_cl.engine.core.errors import REPOSITORY, GffeError
 from gffe_cl.engine.core.public_names import __version__, removal
@@ -31,6 +17,7 @@ from gffe_cl.engine.core.validation import MOST_SEED, shown
 
 __all__ = ["app", "invoke"]
 
+app.registered_commands.sort(key=lambda one: one.name or getattr(one.callback, "__name__", ""))  # of `gffe --help`
 RENAMED = {"--layers": "--background-levels"}  # older names of options, which are still taken
 MEANT = {"doctor": "check SEQUENCE"}  # words that are no commands, and what is meant
 

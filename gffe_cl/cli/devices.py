@@ -1,21 +1,152 @@
-"""Command `gffe devices`, which lists devices."""
+"""Commands that measure and test devices: `gffe bench`, `gffe devices`, `gffe selftest`."""
 
 from __future__ import annotations
 
-from typing import Annotated
+from dataclasses import asdict
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
 
 from gffe_cl.cli.common import (
+    DeviceOption,
+    FollowLinksOption,
     JsonOption,
     OverwriteOption,
     app,
     duration,
+    err,
     out,
+    output_file,
+    parse_size,
     plain,
+    progress_bars,
+    steps,
+    takes_options,
     write_json,
 )
+from gffe_cl.engine.core.errors import GffeError
+
+if TYPE_CHECKING:
+    from gffe_cl.engine.opencl.device import DeviceInfo
+    from gffe_cl.engine.options import Options
+    from gffe_cl.engine.selftest.report import DeviceResult, NetworkResult
+    from gffe_cl.engine.timing.bench import SizeBench
+
+_SIZES = "960x540,1280x720,1920x1080,3840x2160"
+
+
+@app.command()
+@takes_options()
+def bench(
+    subject: Annotated[
+        str | None,
+        typer.Argument(
+            metavar="SCENE|SEQUENCE", help="Built-in scene, or folder of a sequence [dim](default: plaza)[/]."
+        ),
+    ] = None,
+    sizes: Annotated[
+        str | None,
+        typer.Option(help=f"Frame sizes of a built-in scene, WxH,… [dim](default: {_SIZES}; a sequence's own)[/]."),
+    ] = None,
+    repeats: Annotated[int, typer.Option(help="Number of timed frames per size.")] = 15,
+    frame: Annotated[
+        int | None,
+        typer.Option(
+            help="Index of the timed rendered frame [dim](default: 31 of a scene, the middle one of a sequence)[/]."
+        ),
+    ] = None,
+    kernels: Annotated[
+        bool, typer.Option("--kernels", help="Kernel times: also print the time of every kernel.")
+    ] = False,
+    device: Annotated[
+        str | None, typer.Option("--device", help="OpenCL device to time [dim](default: every device that works)[/].")
+    ] = None,
+    follow_links: FollowLinksOption = False,
+    json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
+    *,
+    options: Options,
+) -> None:
+    """Time every stage, in milliseconds and in bytes per pixel, and every preset; compare with the paper's table."""
+    from gffe_cl.engine.opencl.device import list_devices, open_device, open_info
+    from gffe_cl.engine.timing.bench import PAPER, Copier, bench_size, growth
+    from gffe_cl.lab.bench import is_sequence, loop_of
+
+    if repeats < 1:
+        raise GffeError(f"--repeats must be at least 1, got {repeats}")
+    parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
+    if device is None:
+        opened = [open_info(info, profiling=True) for info in list_devices() if info.works] or [open_device()]
+    else:
+        opened = [open_device(device, profiling=True)]
+    of_sequence = parsed is None and is_sequence(subject)  # at its own size
+    chosen = [None] if of_sequence else parsed or [parse_size(text) for text in _SIZES.split(",")]
+    report = []
+    for one in opened:
+        results, name = [], ""
+        with progress_bars() as progress:
+            advance = steps(progress)(_label(one.info), len(chosen) * repeats)
+            copier = Copier(one)
+            for size in chosen:
+                loop = loop_of(one, subject, size, frame, options.upscale)
+                results.append(bench_size(one, copier, loop, options, repeats, advance))
+                name = loop.name
+        _print_bench(one.info, name, results)
+        if kernels:
+            _print_kernels(results)
+        named = {"device": one.info.name, "platform": one.info.platform, "of": name, "copied by": copier.way}
+        report.append(named | {"growth": growth(results), "sizes": [asdict(r) for r in results]})
+    write_json(json_path, {"devices": report, "paper": PAPER})
+
+
+def _label(info: DeviceInfo) -> str:
+    return f"{info.name} ({info.platform})"
+
+
+def _print_bench(info: DeviceInfo, name: str, results: list[SizeBench]) -> None:
+    from gffe_cl.engine.timing.bench import PAPER, growth
+
+    heads = (*(f"{r.width}×{r.height}" for r in results), "paper, 1080p")
+    title = plain(f"{name}, {_label(info)}")
+    table = Table("bytes per pixel (ms)", *heads, title=title, box=None, header_style="bold")
+    last = results[-1]
+    for part in results[0].milliseconds:
+        parts = [(r.bytes_per_pixel.get(part), r.milliseconds.get(part)) for r in results]  # small frames lack some
+        figures = ["–" if ms is None else f"{moved:.0f} ({ms:.2f})" for moved, ms in parts]
+        style = "bold" if part in ("GAE", "SCN") else None
+        table.add_row(part, *figures, str(PAPER.get(part) or ""), style=style)
+    table.add_row("wall time, ms", *(f"{r.wall:.2f}" for r in results), "")
+    for preset in last.presets:
+        times = (r.presets[preset] for r in results)
+        table.add_row(f"preset {preset}, ms", *("–" if ms is None else f"{ms:.2f}" for ms in times), "")
+    table.add_row("copy bandwidth, GB/s", *(f"{r.bandwidth:.1f}" for r in results), "672")
+    table.add_row("device memory, MiB", *(f"{r.memory / 2**20:.0f}" for r in results), "")
+    table.add_row("of which GAE's", *(f"{r.memory_gae / 2**20:.0f}" for r in results), "")
+    commands = (" + ".join(f"{n} {part}" for part, n in r.commands.items()) for r in results)
+    table.add_row("commands for both frames", *commands, "")
+    if last.provider:
+        table.add_row("the network ran on", *(r.provider.removesuffix("ExecutionProvider") for r in results), "")
+    out.print(table)
+    if last.reason:
+        out.print(f"What runs the network: {plain(last.provider)}, {plain(last.reason)}.")
+    if "misc" in last.milliseconds:
+        out.print(
+            "misc: choosing the adaptive window on the host and presenting. Here it is part of neither GAE nor the wall"
+            " time; the paper's GAE contains it, 1400 bytes per pixel in all."
+        )
+    if (power := growth(results)) is not None:
+        out.print(f"GAE grows as pixels^{power:.2f}.")
+    sizes = ", ".join(f"{stage} {nbytes / 2**20:.1f}" for stage, nbytes in last.memory_by_stage.items())
+    out.print(f"Device memory at these sizes, MiB: {sizes}; two rendered frames beside, motion of one.")
+
+
+def _print_kernels(results: list[SizeBench]) -> None:
+    table = Table("kernel, ms", *(f"{r.width}×{r.height}" for r in results), box=None, header_style="bold")
+    for name in results[0].kernels:
+        table.add_row(name, *(f"{r.kernels.get(name, 0):.2f}" for r in results))
+    out.print(table)
 
 
 @app.command()
@@ -60,3 +191,104 @@ def devices(
     write_json(json_path, document)
     if not working:
         raise none_works(infos or every, kind)
+
+
+_COLORS = {"equal": "green", "differs": "red", "failed": "red", "refused": "yellow"}
+_MOST_ROWS = 40
+
+
+@app.command()
+def selftest(
+    device: DeviceOption = None,
+    report: Annotated[
+        Path | None,
+        typer.Option(
+            "--report",
+            help="File for a fault report: devices, drivers, versions, and everything that differs.",
+            callback=output_file("--report"),
+        ),
+    ] = None,
+    quick: Annotated[
+        bool,
+        typer.Option(
+            "--quick",
+            help="Quick test: only the kernel variants that the device chooses itself; a quarter of the time.",
+        ),
+    ] = False,
+    seconds: Annotated[float, typer.Option("--timeout", help="Time limit per device, seconds.", min=1.0)] = 600.0,
+    json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Run a fixed workload on every device, and compare every buffer with recorded references, bit by bit.
+
+    Exit code 1: something differs; 2: something could not be run.
+    """
+    from gffe_cl.engine.selftest import report as running
+
+    wanted = {"forms": ["own"]} if quick else None
+    found = running.selftest(device, seconds=seconds, wanted=wanted, on_device=_announce)
+    out.print(_devices_table(found.devices))
+    for network in found.networks:
+        _print_network(network)
+    _print_differences(found.devices)
+    document = found.document()
+    write_json(json_path, document)
+    write_json(report, {"machine": running.machine(), **document} if report else {})
+    if report:
+        out.print(plain(f"Report: {report}"))
+    elif found.exit_code:
+        out.print("To report it: gffe selftest --report FILE")
+    raise typer.Exit(found.exit_code)
+
+
+def _announce(info: DeviceInfo) -> None:
+    if info.works:
+        err.print(plain(f"Testing {info.name} ({info.platform}), about a minute"))
+
+
+def _devices_table(results: list[DeviceResult]) -> Table:
+    heads = ("index", "device", "platform", "verdict", "compared")
+    table = Table(*heads, box=None, header_style="bold")
+    for result in results:
+        info = result.info
+        forms = ", ".join(form["name"] for form in result.forms)
+        problem = f": {plain(result.problem)}" if result.problem else ""
+        table.add_row(
+            info.index,
+            plain(info.name),
+            plain(info.platform + (f" ({info.driver})" if info.driver else "")),
+            f"[{_COLORS[result.verdict]}]{result.verdict}[/]{problem}",
+            f"{len(result.buffers)} buffers ({forms})" if forms else "",
+        )
+    return table
+
+
+def _print_network(result: NetworkResult) -> None:
+    told = result.problem or (f"largest difference {result.largest:.1e}" if result.largest else "bit for bit")
+    out.print(f"network on {result.provider}: [{_COLORS[result.verdict]}]{result.verdict}[/], {plain(told)}")
+
+
+def _print_differences(results: list[DeviceResult]) -> None:
+    """Print the differences by device and buffer, of the buffers that differ anywhere."""
+    others = sorted({case for result in results for case in result.other_inputs})
+    if others:
+        out.print(f"NumPy makes other frames here than were recorded ({', '.join(others)}): no device's fault.")
+    worst = [(result, result.worst()) for result in results if result.forms]
+    names = sorted({name for _, found in worst for name in found})
+    if not names:
+        return
+    table = Table("differs: largest ulp, pixels", *(plain(result.info.index) for result, _ in worst), box=None)
+    for name in names[:_MOST_ROWS]:
+        table.add_row(plain(name), *(_cell(found.get(name)) for _, found in worst))
+    out.print(table)
+    if len(names) > _MOST_ROWS:
+        out.print(f"… and {len(names) - _MOST_ROWS} more buffers")
+
+
+def _cell(told: dict | None) -> str:
+    if told is None:
+        return "equal"
+    where = ", ".join(sorted(told["forms"])) + "; " + ", ".join(sorted(told["cases"]))
+    if told["ulp"] is None:
+        return f"at {told['moments']} moments ({where})"
+    return f"{told['ulp']} ulp, {told['pixels']} px ({where})"

@@ -11,8 +11,7 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.timing.footage import uploaded
 from gffe_cl.lab.table.footage import Footage, Moment, Shot
-from gffe_cl.lab.table.methods import DILATE_SPLAT, METHODS
-from gffe_cl.lab.table.pipelines import DilateSplat
+from gffe_cl.lab.table.methods import DILATE_SPLAT, METHODS, DilateSplat
 
 pytestmark = pytest.mark.device
 

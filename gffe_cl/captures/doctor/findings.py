@@ -28,6 +28,7 @@ class Finding:
     name: ClassVar[str]
     kind: ClassVar[str] = FAULT
     about: ClassVar[str] = "frames"
+    sentence: ClassVar[str] = ""  # of `words`, with the finding's own figures
 
     @property
     def fields(self) -> dict[str, Any]:
@@ -62,7 +63,7 @@ class Finding:
 
     def words(self) -> str:
         """Return the sentence without the buffer that it is about."""
-        raise NotImplementedError
+        return self.sentence.format(self)
 
     def __str__(self) -> str:
         return printable(f"{self.about}: {self.words()}")
@@ -116,11 +117,9 @@ class NothingUsable(OfBuffer):
     """Too few values of a buffer can be compared: `share` of the pixels, because `why`."""
 
     name = "nothing-usable"
+    sentence = "{0.share:.1%} of the pixels have a usable value ({0.why}): nothing can be compared"
     share: float
     why: str
-
-    def words(self) -> str:
-        return f"{self.share:.1%} of the pixels have a usable value ({self.why}): nothing can be compared"
 
 
 @dataclass(frozen=True)
@@ -183,9 +182,7 @@ class ColorUpsideDown(Finding):
     """Rows of the color run the other way than those of depth."""
 
     name, about = "color-rows", "color"
-
-    def words(self) -> str:
-        return "its rows run the other way than those of depth: one of both is upside down"
+    sentence = "its rows run the other way than those of depth: one of both is upside down"
 
 
 @dataclass(frozen=True)
@@ -193,10 +190,8 @@ class Quantized(Finding):
     """Vectors are multiples of `step` pixels."""
 
     name, kind, about = "motion-quantized", NOTE, "motion"
+    sentence = "vectors are quantized in steps of {0.step:.3g} px: slow objects shake a little"
     step: float
-
-    def words(self) -> str:
-        return f"vectors are quantized in steps of {self.step:.3g} px: slow objects shake a little"
 
 
 @dataclass(frozen=True)
@@ -215,14 +210,12 @@ class RepeatedPixels(OfBuffer):
     """A buffer was rendered in the size `width`, `height`, and its pixels repeated."""
 
     name, kind = "repeated-pixels", NOTE
+    sentence = (
+        "{0.width}×{0.height} different pixels are repeated (give them in the size they were"
+        " rendered in, by geometry_size: about 0.8 dB)"
+    )
     width: int
     height: int
-
-    def words(self) -> str:
-        return (
-            f"{self.width}×{self.height} different pixels are repeated (give them in the size they were"
-            " rendered in, by geometry_size: about 0.8 dB)"
-        )
 
 
 @dataclass(frozen=True)
@@ -303,12 +296,10 @@ class MotionToNext(Finding):
     """Vectors lead to the next frame."""
 
     name, about = "motion-to-next", "motion"
-
-    def words(self) -> str:
-        return (
-            'vectors lead to the next frame (expected those to the previous one; "to_next": true of a folder of images'
-            " converts them roughly)"
-        )
+    sentence = (
+        'vectors lead to the next frame (expected those to the previous one; "to_next": true of a folder of images'
+        " converts them roughly)"
+    )
 
 
 @dataclass(frozen=True)
@@ -363,13 +354,11 @@ class JitterDiffers(Finding):
     """Vectors and cameras differ by another part of a pixel in every frame: by `size` pixels."""
 
     name, about = "jitter", "camera"
+    sentence = (
+        "jitter differs between cameras and vectors by {0.size:.2g} px (expected both with the jitter of"
+        " the color, or without it and RenderedFrame.geometry_jitter)"
+    )
     size: float
-
-    def words(self) -> str:
-        return (
-            f"jitter differs between cameras and vectors by {self.size:.2g} px (expected both with the jitter of"
-            " the color, or without it and RenderedFrame.geometry_jitter)"
-        )
 
 
 @dataclass(frozen=True)
@@ -377,15 +366,13 @@ class Unexplained(Finding):
     """Vectors do not fit depth and cameras: their median residual is `pixels`; `share` of the samples agree."""
 
     name = "unexplained"
+    sentence = (
+        "motion vectors do not fit depth and cameras{0.where} (median {0.pixels:.3g} px,"
+        " {0.share:.0%} agree): no known change explains it"
+    )
     pixels: float
     share: float
     where: str = ""
-
-    def words(self) -> str:
-        return (
-            f"motion vectors do not fit depth and cameras{self.where} (median {self.pixels:.3g} px,"
-            f" {self.share:.0%} agree): no known change explains it"
-        )
 
 
 @dataclass(frozen=True)
@@ -411,9 +398,7 @@ class Cut(AtFrame):
     """Frame `frame` does not follow the one before."""
 
     name = "cut"
-
-    def words(self) -> str:
-        return f"cut at frame {self.frame} ({self.file}): it does not follow the frame before (expected reset)"
+    sentence = "cut at frame {0.frame} ({0.file}): it does not follow the frame before (expected reset)"
 
 
 @dataclass(frozen=True)
@@ -421,12 +406,10 @@ class Gap(AtFrame):
     """Frame `frame` shows what the one before shows, but its vectors lead elsewhere."""
 
     name = "gap"
-
-    def words(self) -> str:
-        return (
-            f"gap before frame {self.frame} ({self.file}): vectors do not lead to the frame before, whose"
-            " picture continues: a frame may be missing (expected reset)"
-        )
+    sentence = (
+        "gap before frame {0.frame} ({0.file}): vectors do not lead to the frame before, whose"
+        " picture continues: a frame may be missing (expected reset)"
+    )
 
 
 @dataclass(frozen=True)
@@ -434,12 +417,7 @@ class OffInOneFrame(AtFrame):
     """Depth and cameras of frame `frame` do not fit, while colors follow its vectors."""
 
     name, about = "unexplained-frame", "camera"
-
-    def words(self) -> str:
-        return (
-            f"frame {self.frame} ({self.file}) does not fit, while colors follow its vectors: no known change"
-            " explains it"
-        )
+    sentence = "frame {0.frame} ({0.file}) does not fit, while colors follow its vectors: no known change explains it"
 
 
 @dataclass(frozen=True)
@@ -486,9 +464,7 @@ class NothingBefore(Finding):
     """No frame can be compared with one before it."""
 
     name, kind = "single-frames", UNKNOWN
-
-    def words(self) -> str:
-        return "no rendered frame of 8 pixels or more has one before it"
+    sentence = "no rendered frame of 8 pixels or more has one before it"
 
 
 @dataclass(frozen=True)
@@ -509,12 +485,10 @@ class MisfitAtEnd(AtFrame):
     """The first or last pair of frames does not fit: a gap, or buffers of another frame in a steady movement."""
 
     name = "misfit-at-end"
-
-    def words(self) -> str:
-        return (
-            f"frame {self.frame} ({self.file}) does not follow the frame before, and nothing tells whether a frame is"
-            " missing, or vectors or cameras are of another frame"
-        )
+    sentence = (
+        "frame {0.frame} ({0.file}) does not follow the frame before, and nothing tells whether a frame is"
+        " missing, or vectors or cameras are of another frame"
+    )
 
 
 def short(value: float) -> float:

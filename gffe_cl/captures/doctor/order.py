@@ -6,7 +6,6 @@ from dataclasses import replace
 
 import numpy as np
 
-from gffe_cl.captures.doctor.evidence import Bench
 from gffe_cl.captures.doctor.findings import (
     Cut,
     Finding,
@@ -20,7 +19,7 @@ from gffe_cl.captures.doctor.findings import (
 )
 from gffe_cl.captures.doctor.readings import GIVEN, Reading
 from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Clip, Look, of_other_frames, relinked, take_looks, turned
-from gffe_cl.captures.doctor.search import Search, Verdict
+from gffe_cl.captures.doctor.search import Bench, Search, Verdict
 
 _MOVES = 0.3  # pixels: vectors by which nothing stays as it is
 _TEXTURED, _COLORS = 0.1, 16  # share of samples that show a texture, and distinct colors, at least

@@ -40,8 +40,8 @@ MASKS = {"mask.dynamic": "dynamic", "mask.disoccluded": "disoccluded", "mask.fil
 class RunReport:
     """Summary of a run: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
     wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
-    "network"; how many frames were rendered ones, how many more an interrupted run had made, and the files of those that
-    were found to be cuts."""
+    "network"; how many frames were rendered ones, how many more an interrupted run had made, and the files of those
+    that were found to be cuts."""
 
     extrapolated: int
     bad_pixels: BadPixels

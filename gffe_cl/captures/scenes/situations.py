@@ -9,10 +9,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import *
-from gffe_cl.captures.scenes.furniture import *
-from gffe_cl.captures.scenes.motions import *
-from gffe_cl.captures.scenes.scene_types import *
+from gffe_cl.captures.scenes.props import *
 
 BACK, HALF_WIDTH, HEIGHT = -5.5, 4.5, 3.4  # meters; width and height of the hall
 

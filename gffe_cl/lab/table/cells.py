@@ -27,8 +27,7 @@ from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.opencl.program import kernel_digest
 from gffe_cl.lab.metrics import REGIONS, Flicker, RegionErrors, masks, measurable, measured_or_reason, to_display
 from gffe_cl.lab.table.footage import Footage, Shot, Subject, find_labels, open_subject
-from gffe_cl.lab.table.methods import Method, chosen_methods
-from gffe_cl.lab.table.pipelines import DeviceRunner, PipelineRunner
+from gffe_cl.lab.table.methods import DeviceRunner, Method, PipelineRunner, chosen_methods
 
 _VERSION = 3
 _MOST_BYTES = 64 << 20  # of a file

@@ -7,7 +7,6 @@ import dataclasses
 
 import numpy as np
 
-from gffe_cl.captures.scenes.motions import Motion, Place, Slide, Spin, Swing
 from gffe_cl.captures.scenes.scene_types import (
     Box,
     Capsule,
@@ -16,8 +15,13 @@ from gffe_cl.captures.scenes.scene_types import (
     Light,
     LightFlicker,
     Material,
+    Motion,
+    Place,
     Scene,
+    Slide,
     Sphere,
+    Spin,
+    Swing,
     tint,
 )
 

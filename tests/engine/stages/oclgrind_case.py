@@ -142,7 +142,7 @@ def described(stage, frame, size):
 def dilate_splat(device):
     """In all forms, on images of odd sizes."""
     from gffe_cl.lab.table.footage import Footage, Moment, Shot
-    from gffe_cl.lab.table.pipelines import DilateSplat
+    from gffe_cl.lab.table.methods import DilateSplat
 
     for lanes, int64, size in product((1, 8), (True, False), ((37, 11), (3, 2))):
         device.__dict__["lanes"] = lanes

@@ -5,8 +5,26 @@ import pytest
 from parameters import few
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.captures.scenes.motions import Bounce, Carry, Motion, Place, Spin, Swing, rotation, translation
-from gffe_cl.captures.scenes.scene_types import Air, Box, Capsule, Cylinder, Group, Light, Material, Scene, Sphere, wave
+from gffe_cl.captures.scenes.scene_types import (
+    Air,
+    Bounce,
+    Box,
+    Capsule,
+    Carry,
+    Cylinder,
+    Group,
+    Light,
+    Material,
+    Motion,
+    Place,
+    Scene,
+    Sphere,
+    Spin,
+    Swing,
+    rotation,
+    translation,
+    wave,
+)
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.lab.metrics import to_display

@@ -5,10 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import *
-from gffe_cl.captures.scenes.furniture import *
-from gffe_cl.captures.scenes.motions import *
-from gffe_cl.captures.scenes.scene_types import *
+from gffe_cl.captures.scenes.props import *
 
 HALF_WIDTH, HEIGHT, FAR, NEAR = 9.0, 7.5, -22.0, 8.0
 FAN_Y, FAN_RADIUS = 4.6, 1.25

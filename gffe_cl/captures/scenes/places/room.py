@@ -5,9 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.furniture import *
-from gffe_cl.captures.scenes.motions import *
-from gffe_cl.captures.scenes.scene_types import *
+from gffe_cl.captures.scenes.props import *
 
 HALF_X, HALF_Z, HEIGHT = 3.7, 3.3, 2.75
 

@@ -5,10 +5,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from gffe_cl.captures.scenes.figures import *
-from gffe_cl.captures.scenes.furniture import *
-from gffe_cl.captures.scenes.motions import *
-from gffe_cl.captures.scenes.scene_types import *
+from gffe_cl.captures.scenes.props import *
 
 KERB, FACADE, FAR, NEAR = 4.4, 7.4, -36.0, 12.0
 _NEON = ((1.0, 0.12, 0.3), (0.1, 0.8, 1.0), (1.0, 0.45, 0.06), (0.3, 1.0, 0.25), (0.65, 0.2, 1.0))

@@ -1,9 +1,10 @@
-"""Commands for captures of other programs: `gffe formats`, `gffe import`."""
+"""Commands for captures: `gffe check`, which finds their faults, `gffe formats` and `gffe import`."""
 
 from __future__ import annotations
 
+import json
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 from rich.table import Table
@@ -17,6 +18,7 @@ from gffe_cl.cli.common import (
     app,
     counted,
     out,
+    output_file,
     parse_encoding,
     plain,
     progress_bars,
@@ -24,6 +26,68 @@ from gffe_cl.cli.common import (
     warn,
     write_json,
 )
+from gffe_cl.engine.core.files import write_text
+
+if TYPE_CHECKING:
+    from gffe_cl.captures.doctor import Diagnosis
+
+_STYLES = {"fault": "bold red", "note": "yellow", "cannot tell": "cyan"}
+
+
+@app.command()
+def check(
+    sequence: Annotated[Path, typer.Argument(help="Folder of the capture to examine; see `gffe formats`.")],
+    format_out: Annotated[
+        Path | None,
+        typer.Option(
+            "--format-out",
+            help="JSON file for the format that undoes the faults, if one does, for `gffe import --format`.",
+            callback=output_file("--format-out"),
+        ),
+    ] = None,
+    follow_links: FollowLinksOption = False,
+    json_path: JsonOption = None,
+    overwrite: OverwriteOption = False,
+) -> None:
+    """Report faults of a sequence: in motion vectors, depth, cameras, colors and the order of frames.
+
+    Exit code 0: nothing, or notes; 1: faults, which break results.
+    """
+    from gffe_cl.captures.doctor import examine
+    from gffe_cl.captures.formats import open_capture
+
+    opened = open_capture(sequence)
+    diagnosis = examine(opened, opened.exposure)
+    title = f"{sequence}: {counted(len(opened.rendered), 'rendered frame')}, {opened.width}×{opened.height}"
+    looked = "" if diagnosis.frames == len(opened.rendered) else f"; {diagnosis.frames} of them looked at"
+    out.print(plain(title + looked))
+    for note in opened.notes:
+        out.print(f"[{_STYLES['note']}]note[/] {plain(f'frames: {note}')}", soft_wrap=True)
+    for one in diagnosis.findings:
+        out.print(f"[{_STYLES[one.kind]}]{one.kind}[/] {plain(one)}", soft_wrap=True)
+    for line in _residuals(diagnosis):
+        out.print(plain(line), soft_wrap=True)
+    if diagnosis.found is not None:
+        text = json.dumps(diagnosis.found.to_json())
+        out.print(plain(f"format to paste: {text}"), soft_wrap=True)
+        if format_out is not None:
+            write_text(format_out, text + "\n")
+            out.print(plain(f"`gffe import --format {format_out} {sequence} OUT` converts it"), soft_wrap=True)
+    write_json(json_path, diagnosis.as_json())
+    if diagnosis.faults:
+        raise typer.Exit(1)
+
+
+def _residuals(diagnosis: Diagnosis) -> list[str]:
+    """Return sentences on how well the frames fit as given and as read."""
+    pairs = [("as given", diagnosis.given), ("with this format", diagnosis.read)]
+    if diagnosis.found is None or diagnosis.read is diagnosis.given:
+        pairs = pairs[:1]
+    return [
+        f"{name}: median residual {one.median:.3g} px, {one.share:.0%} of the samples agree"
+        for name, one in pairs
+        if one is not None
+    ]
 
 
 @app.command()
