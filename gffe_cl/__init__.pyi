@@ -1,6 +1,6 @@
 """What type checkers and editors see of the package, whose modules are loaded on first use."""
 
-from gffe_cl.captures.doctor.quick import check as check
+from gffe_cl.captures.doctor.diagnose import check as check
 from gffe_cl.captures.formats import open_capture as open_capture
 from gffe_cl.captures.offline.recording import record as record
 from gffe_cl.captures.sequence import FrameEntry as FrameEntry

@@ -79,7 +79,7 @@ def render(
     Situations, small scenes of one difficulty each: bars, railings, balls, rotors, handheld, cab, wipers, shadows, fan.
     """
     from gffe_cl.captures.scenes import load_scene
-    from gffe_cl.captures.scenes.sequences import render_sequence
+    from gffe_cl.captures.scenes.renderer import render_sequence
     from gffe_cl.engine.frame.window import Jitter
     from gffe_cl.engine.opencl.device import open_device
 

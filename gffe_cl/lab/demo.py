@@ -12,7 +12,7 @@ import numpy as np
 from gffe_cl.captures.offline.run import run_sequence
 from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.scenes import load_scene
-from gffe_cl.captures.scenes.sequences import render_sequence
+from gffe_cl.captures.scenes.renderer import render_sequence
 from gffe_cl.captures.sequence import Sequence, open_sequence
 from gffe_cl.captures.video import write_video
 from gffe_cl.engine.core.files import replacing

@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from gffe_cl.captures.scenes.sequences import JITTER_LENGTH
+from gffe_cl.captures.scenes.renderer import JITTER_LENGTH
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.frame.window import Jitter

@@ -11,7 +11,7 @@ from viewer_session import wait_for
 
 from gffe_cl import Options
 from gffe_cl.captures.scenes import load_scene
-from gffe_cl.captures.scenes.sequences import render_sequence
+from gffe_cl.captures.scenes.renderer import render_sequence
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.explain.motion_trail import Passed, way_of

@@ -13,7 +13,7 @@ from pathlib import Path
 
 def make(folder: Path) -> None:
     from gffe_cl.captures.scenes import load_scene
-    from gffe_cl.captures.scenes.sequences import render_sequence
+    from gffe_cl.captures.scenes.renderer import render_sequence
     from gffe_cl.engine.opencl.device import open_device
 
     device, scene = open_device(), load_scene("corridor")

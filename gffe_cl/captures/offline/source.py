@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 from typing import Any, Protocol
 
 from gffe_cl.captures.scenes import Scene, SceneFrames, SceneRenderer
-from gffe_cl.captures.scenes.sequences import require_frames
+from gffe_cl.captures.scenes.renderer import require_frames
 from gffe_cl.captures.sequence import (
     FrameEntry,
     Sequence,

@@ -18,9 +18,8 @@ from pathlib import Path
 
 import numpy as np
 
-from gffe_cl.captures.scenes.renderer import SceneArrays, SceneImage, SceneRenderer
+from gffe_cl.captures.scenes.renderer import EncodedFrames, SceneArrays, SceneFrames, SceneImage, SceneRenderer
 from gffe_cl.captures.scenes.scene_types import Scene
-from gffe_cl.captures.scenes.sequences import EncodedFrames, SceneFrames
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_seed
 

@@ -46,7 +46,7 @@ HOME = {
     "present": "engine.stages.presentation",
     "record": "captures.offline.recording",
     "Pacer": "engine.pipeline.pacing",
-    "check": "captures.doctor.quick",
+    "check": "captures.doctor.diagnose",
     "psnr": "lab.metrics",
     "ssim": "lab.metrics",
     "to_display": "engine.frame.transfer_function",

@@ -13,7 +13,7 @@ from parameters import few
 import gffe_cl
 from gffe_cl.captures.doctor import FoundFormat, examine, with_format
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
-from gffe_cl.captures.scenes.sequences import EncodedFrames
+from gffe_cl.captures.scenes.renderer import EncodedFrames
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.opencl.device import open_device

@@ -12,7 +12,7 @@ from foreign import write_exr, write_parts
 from PIL import Image
 
 from gffe_cl import GffeError
-from gffe_cl.captures.formats.images import check_planes, read_planes
+from gffe_cl.captures.formats.folder import check_planes, read_planes
 
 W, H = 23, 17
 RNG = np.random.default_rng(4)

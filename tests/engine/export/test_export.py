@@ -30,8 +30,7 @@ from exported import (
 from refused_values import TABLE, Calls, refusal
 
 from gffe_cl.captures.scenes import load_scene
-from gffe_cl.captures.scenes.renderer import SceneRenderer
-from gffe_cl.captures.scenes.sequences import SceneFrames
+from gffe_cl.captures.scenes.renderer import SceneFrames, SceneRenderer
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.export.writing import export
 from gffe_cl.engine.frame.camera import Camera

@@ -9,8 +9,7 @@ from synthetic import Rect, Rects, camera
 
 from gffe_cl import Options, Pipeline
 from gffe_cl.captures.scenes import load_scene
-from gffe_cl.captures.scenes.renderer import SceneRenderer
-from gffe_cl.captures.scenes.sequences import SceneFrames
+from gffe_cl.captures.scenes.renderer import SceneFrames, SceneRenderer
 from gffe_cl.engine.frame.window import Jitter, WindowChooser
 from gffe_cl.engine.stages.background import REMEMBERED
 from gffe_cl.engine.stages.buffers import BY_HIDDEN_PART, BY_REAPPEARING, OFFSET, RGB9E5
