@@ -131,8 +131,8 @@ _LEAST_CLIPS = 2  # to train on and to validate with
 
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:
-    from gffe_cl.lab.training import losses
     from gffe_cl.lab.training.export import export_onnx
+    from gffe_cl.lab.training.training import LOSSES_VERSION
 
     figures = training.validate()
     recipe, network = training.recipe, training.network
@@ -144,7 +144,7 @@ def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_ve
         "steps": f"{training.step:,} of {recipe.steps:,}, {recipe.batch} crops each",
         "training": f"{training.seconds / 3600:.2f} h on {training.device.type}, PyTorch {torch_version}",
         "data": f"{clips} clips, seed {recipe.seed}; {len(training.crops):,} crops of 256×256",
-        "losses": f"version {losses.VERSION}, perceptual: {training.perceptual.name}",
+        "losses": f"version {LOSSES_VERSION}, perceptual: {training.perceptual.name}",
         "onnxruntime against PyTorch": f"largest difference {difference:.1g}",
     }
     if recipe.integers:

@@ -13,10 +13,9 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.frame.transfer_function import to_display
 from gffe_cl.lab.metrics import METRICS, REGIONS, Flicker, blurred, labels_of, masks, measured_or_reason, steps
-from gffe_cl.lab.table import baselines, cells
-from gffe_cl.lab.table.baselines import OnnxModel, OnnxRunner
+from gffe_cl.lab.table import cells, methods
 from gffe_cl.lab.table.footage import Guide, Moment, Shot, exact_parts, pixel_centers
-from gffe_cl.lab.table.methods import chosen_methods
+from gffe_cl.lab.table.methods import OnnxModel, OnnxRunner, chosen_methods
 
 W, H = 48, 32
 CAMERA = Camera(np.eye(4), 40, 40, W / 2, H / 2)
@@ -58,11 +57,11 @@ def moment(alpha, **more):
 def test_motion_vectors_go_on_in_image_space():
     """Constant speed by order 1, constant acceleration by order 2 only."""
     for acceleration, order, most in ((0.0, 1, 0.01), (0.0, 2, 0.01), (1.5, 2, 0.01)):
-        runner = baselines.MotionVectors(order)
+        runner = methods.MotionVectors(order)
         for k in range(3):
             runner.submit(shot(k, 2.0, acceleration))
         assert inner_error(runner.make(moment(0.5)), 2.5, 2.0, acceleration) < most, (acceleration, order)
-    linear = baselines.MotionVectors(1)
+    linear = methods.MotionVectors(1)
     for k in range(3):
         linear.submit(shot(k, 2.0, 1.5))
     assert inner_error(linear.make(moment(0.5)), 2.5, 2.0, 1.5) > 0.02
@@ -70,7 +69,7 @@ def test_motion_vectors_go_on_in_image_space():
 
 def test_optical_flow_finds_the_motion():
     pytest.importorskip("cv2")
-    runner = baselines.OpticalFlow(1.0)
+    runner = methods.OpticalFlow(1.0)
     for k in range(2):
         runner.submit(shot(k, 2.0))
     assert inner_error(runner.make(moment(0.5)), 1.5, 2.0) < 0.06
@@ -78,7 +77,7 @@ def test_optical_flow_finds_the_motion():
 
 
 def test_interpolation_looks_ahead():
-    runner = baselines.Interpolation()
+    runner = methods.Interpolation()
     with pytest.raises(GffeError, match="after this one is missing"):
         runner.submit(shot(1, 2.0))
         runner.make(moment(0.5))
@@ -96,7 +95,7 @@ def test_guided_extrapolation_uses_its_guide():
     hidden = np.zeros((H, W), bool)
     hidden[14:18, 20:24] = True
     guide = Guide(depth, motion, np.where(hidden, 9, depth).astype(np.float32), np.zeros((H, W), bool))
-    runner = baselines.GuidedExtrapolation()
+    runner = methods.GuidedExtrapolation()
     runner.submit(source)
     made = runner.make(moment(0.5, guide=guide))
     truth = texture(CENTERS - np.float32((1, 0)))

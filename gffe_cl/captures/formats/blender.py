@@ -22,14 +22,15 @@ from gffe_cl.captures.formats.capture import (
 from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
 from gffe_cl.captures.sequence.exr import (
     COLOR,
+    ExrHeader,
     ForeignPixels,
     decoded,
     placed,
+    read_header,
     require_parts,
     require_shown,
     stack_color,
 )
-from gffe_cl.captures.sequence.exr_header import ExrHeader, read_header
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import (

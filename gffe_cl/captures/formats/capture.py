@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 from gffe_cl.captures.sequence.description import Description, FrameEntry, check_times, read_text
-from gffe_cl.captures.sequence.exr_header import ExrHeader, ExrPart
+from gffe_cl.captures.sequence.exr import ExrHeader, ExrPart
 from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.core.validation import require_bool, require_choice, require_number, require_positive, shown
 from gffe_cl.engine.frame.camera import Camera

@@ -34,8 +34,15 @@ from gffe_cl.captures.formats.capture import (
 from gffe_cl.captures.formats.flow import inverted_flow
 from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry, reference
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
-from gffe_cl.captures.sequence.exr import ForeignPixels, decoded, place_of, placed, require_shown
-from gffe_cl.captures.sequence.exr_header import ExrHeader, read_header
+from gffe_cl.captures.sequence.exr import (
+    ExrHeader,
+    ForeignPixels,
+    decoded,
+    place_of,
+    placed,
+    read_header,
+    require_shown,
+)
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError, require_packages, within
 from gffe_cl.engine.core.files import open_regular, require_moderate

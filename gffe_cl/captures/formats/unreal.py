@@ -24,8 +24,7 @@ from gffe_cl.captures.formats.capture import (
 )
 from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.captures.sequence.engine_form import static_motion
-from gffe_cl.captures.sequence.exr import ForeignPixels, decoded, placed, require_parts
-from gffe_cl.captures.sequence.exr_header import ExrHeader, ExrPart, read_header
+from gffe_cl.captures.sequence.exr import ExrHeader, ExrPart, ForeignPixels, decoded, placed, read_header, require_parts
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.frame.camera import Camera

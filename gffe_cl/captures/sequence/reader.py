@@ -29,8 +29,17 @@ from gffe_cl.captures.sequence.description import (
     without_collections,
 )
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
-from gffe_cl.captures.sequence.exr import COLOR, MOTION, RENDERED, OwnPixels, Pixels, require_whole_overlays
-from gffe_cl.captures.sequence.exr_header import has_camera, header_cameras, read_header
+from gffe_cl.captures.sequence.exr import (
+    COLOR,
+    MOTION,
+    RENDERED,
+    OwnPixels,
+    Pixels,
+    has_camera,
+    header_cameras,
+    read_header,
+    require_whole_overlays,
+)
 from gffe_cl.captures.sequence.output_folder import why_unfinished
 from gffe_cl.engine.core.errors import GffeError, printable, within
 from gffe_cl.engine.core.files import follow_links as following

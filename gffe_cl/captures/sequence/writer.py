@@ -27,8 +27,7 @@ from gffe_cl.captures.sequence.description import (
     parse_description,
     require_one_size,
 )
-from gffe_cl.captures.sequence.exr import GEOMETRY, OVERLAY_CHANNELS, RENDERED
-from gffe_cl.captures.sequence.exr_header import camera_attributes
+from gffe_cl.captures.sequence.exr import GEOMETRY, OVERLAY_CHANNELS, RENDERED, camera_attributes
 from gffe_cl.captures.sequence.output_folder import GENERATOR, OutputFolder
 from gffe_cl.captures.sequence.reader import usable_cores
 from gffe_cl.engine.core.errors import GffeError

@@ -12,8 +12,7 @@ import pytest
 from foreign import H, W, edit_json, shots, write_blender, write_exr
 
 from gffe_cl import GffeError, open_capture
-from gffe_cl.captures.sequence.exr import decoded
-from gffe_cl.captures.sequence.exr_header import ExrHeader, ExrPart
+from gffe_cl.captures.sequence.exr import ExrHeader, ExrPart, decoded
 from gffe_cl.cli import commands
 
 SECONDS, BYTES = 2, 100e6

@@ -18,7 +18,7 @@ from gffe_cl.captures.sequence import (
     named_channels,
     open_sequence,
 )
-from gffe_cl.captures.sequence.exr_header import ExrPart, camera_attributes, header_cameras
+from gffe_cl.captures.sequence.exr import ExrPart, camera_attributes, header_cameras
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays

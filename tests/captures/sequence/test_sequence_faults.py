@@ -6,7 +6,7 @@ import pytest
 from tiny_sequence import H, W, contiguous, edit, pixels, write
 
 from gffe_cl.captures.sequence import named_channels, open_sequence
-from gffe_cl.captures.sequence.exr_header import _Cursor, _parse
+from gffe_cl.captures.sequence.exr import _Cursor, _parse
 from gffe_cl.engine.core.errors import GffeError
 
 

@@ -15,7 +15,8 @@ from gffe_cl.engine.stages.shading import TREND_PLANES, spacing_of  # noqa: E402
 from gffe_cl.lab import metrics  # noqa: E402
 from gffe_cl.lab.metrics import focus_mask, shading_regions  # noqa: E402
 from gffe_cl.lab.training import data as data_module  # noqa: E402
-from gffe_cl.lab.training import losses, network  # noqa: E402
+from gffe_cl.lab.training import network  # noqa: E402
+from gffe_cl.lab.training import training as trained  # noqa: E402
 from gffe_cl.lab.training import training as training_module  # noqa: E402
 from gffe_cl.lab.training.augmentation import Augmentation, low_pass  # noqa: E402
 from gffe_cl.lab.training.data import Batch, Crop, CropReader, focus_truth, list_crops  # noqa: E402
@@ -87,7 +88,7 @@ def test_training_begins_with_another_network_s_weights():
 def test_structural_similarity_is_the_metric():
     a, b = random(2, 3, 40, 32).abs().clamp(max=1), random(2, 3, 40, 32, seed=1).abs().clamp(max=1)
     measured = [metrics.ssim(x, y) for x, y in zip(*(t.permute(0, 2, 3, 1).numpy() for t in (a, b)), strict=True)]
-    assert losses.ssim(a, b).item() == pytest.approx(np.mean(measured), abs=1e-5)
+    assert trained.ssim(a, b).item() == pytest.approx(np.mean(measured), abs=1e-5)
 
 
 def test_vgg(tmp_path):
@@ -98,14 +99,14 @@ def test_vgg(tmp_path):
     state |= {f"features.{k}.bias": torch.zeros(o) for k, (_, o) in layout.items()}
     state["classifier.0.weight"] = torch.zeros(1)
     torch.save(state, tmp_path / "vgg19-abc.pth")
-    loss = losses.perceptual_loss(tmp_path / "vgg19-abc.pth")
+    loss = trained.perceptual_loss(tmp_path / "vgg19-abc.pth")
     a, b = random(1, 3, 32, 32), random(1, 3, 32, 32, seed=1).requires_grad_()
     assert loss.name == "VGG-19" and loss(a, a) == 0
     loss(b, a).backward()
     assert b.grad.abs().sum() > 0
     (tmp_path / "bad.pth").write_bytes(b"nothing")
     with pytest.raises(GffeError, match=r"bad\.pth: not VGG-19"):
-        losses.perceptual_loss(tmp_path / "bad.pth")
+        trained.perceptual_loss(tmp_path / "bad.pth")
 
 
 # ---- data ----------------------------------------------------------------------------------------------
@@ -358,8 +359,8 @@ def test_checkpoints_of_other_runs_are_refused(data, tmp_path, monkeypatch):
     with pytest.raises(GffeError, match=r"was started with steps 2 \(expected the same options"):
         started(tmp_path, data, Recipe(seed=3, steps=9, batch=2))
     with monkeypatch.context() as patch:
-        patch.setattr(losses, "VERSION", losses.VERSION + 1)
-        with pytest.raises(GffeError, match=rf"was started with losses {losses.VERSION - 1} \(expected"):
+        patch.setattr(trained, "LOSSES_VERSION", trained.LOSSES_VERSION + 1)
+        with pytest.raises(GffeError, match=rf"was started with losses {trained.LOSSES_VERSION - 1} \(expected"):
             started(tmp_path, data, Recipe(seed=3, steps=2, batch=2))
     (tmp_path / CHECKPOINT).write_bytes(b"broken")
     with pytest.raises(GffeError, match=r"checkpoint\.pt: not a checkpoint"):
