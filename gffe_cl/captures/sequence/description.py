@@ -39,6 +39,16 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 FILE_NAME = "sequence.json"
 FORMAT, VERSIONS = "gffe-sequence", (1, 2)  # the second one describes an engine's buffers
 KINDS = ("rendered", "ground_truth", "extrapolated")
+_OPTIONAL = (
+    "reset",
+    "render_size",
+    "geometry_jitter",
+    "geometry_size",
+    "source",
+    "alpha",
+    "render_camera",
+    "display_camera",
+)
 _CAMERA = ("world_to_view", "fx", "fy", "cx", "cy")
 _MAX_BYTES = 1 << 30
 _PLAIN_NAME = re.compile(r"[\w+=@-][\w+=@. -]*", re.ASCII)
@@ -145,7 +155,7 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
         require_positive(document.get("fps"), f"{name}: fps"),
         require_exposure(document.get("exposure", 1.0), f"{name}: exposure"),
         [],
-        _true_or_false(document.get("unfinished", False), f"{name}: unfinished"),
+        require_bool(document.get("unfinished", False), f"{name}: unfinished"),
     )
     if isinstance(document.get("settings"), str):
         description.settings = document["settings"]
@@ -164,11 +174,12 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
     return description
 
 
-def checked_entry(entry: FrameEntry) -> FrameEntry:
-    """Return a copy of `entry` with Python numbers. Raises GffeError for invalid values."""
+def checked_entry(entry: FrameEntry, label: str = "") -> FrameEntry:
+    """Return a copy of `entry` with Python numbers. Raises GffeError for invalid values, which begins with `label`, or
+    else with its file."""
     require_kind(entry, FrameEntry, "entry")
     check_file_name(entry.file, "entry")
-    label = f"{entry.file}: "
+    label = f"{label or entry.file}: "
     for name in ("render_camera", "display_camera"):
         if (camera := getattr(entry, name)) is not None:
             require_kind(camera, Camera, f"{label}{name}", "a Camera or None")
@@ -182,7 +193,7 @@ def checked_entry(entry: FrameEntry) -> FrameEntry:
         reset=require_bool(entry.reset, f"{label}reset"),
         render_size=None if size is None else require_size(size, f"{label}render_size", whole=True),
         alpha=None if alpha is None else require_positive(alpha, f"{label}alpha"),
-        geometry_jitter=require_jitter(entry.geometry_jitter, entry.file),
+        geometry_jitter=require_jitter(entry.geometry_jitter, label[:-2]),
         geometry_size=None if geometry is None else require_size(geometry, f"{label}geometry_size", whole=True),
     )
 
@@ -347,25 +358,12 @@ def _parse_frame(frame, index, name) -> FrameEntry:
         raise GffeError(f"{name}, frame {index}: must be an object, got {shown(frame)}")
     file, elsewhere = reference(frame.get("file"), f"{name}, frame {index}")
     label = frame_label(index, file, name)
-    kind = frame.get("kind")
-    if kind not in KINDS:
-        raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
-    reset = _true_or_false(frame.get("reset", False), f"{label}: reset")
-    entry = FrameEntry(file, require_number(frame.get("time"), f"{label}: time"), kind, reset, elsewhere=elsewhere)
-    if frame.get("render_size") is not None:
-        entry.render_size = _parse_size(frame["render_size"], label)
-    if frame.get("geometry_jitter") is not None:
-        entry.geometry_jitter = require_jitter(frame["geometry_jitter"], label)
-    if frame.get("geometry_size") is not None:
-        entry.geometry_size = _parse_size(frame["geometry_size"], label, "geometry_size")
-    if frame.get("source") is not None:
-        entry.source, _ = reference(frame["source"], f"{label}, source")
-    if frame.get("alpha") is not None:
-        entry.alpha = require_positive(frame["alpha"], f"{label}: alpha")
-    for field in ("render_camera", "display_camera"):
-        if frame.get(field) is not None:
-            setattr(entry, field, _parse_camera(frame[field], f"{label}: {field}"))
-    return entry
+    given = {key: frame[key] for key in _OPTIONAL if frame.get(key) is not None}
+    for key in given.keys() & {"render_camera", "display_camera"}:
+        given[key] = _parse_camera(given[key], f"{label}: {key}")
+    if "source" in given:
+        given["source"], _ = reference(given["source"], f"{label}, source")
+    return checked_entry(FrameEntry(file, frame.get("time"), frame.get("kind"), elsewhere=elsewhere, **given), label)
 
 
 def _parse_format(given, version: int, name: str) -> FrameFormat:
@@ -380,19 +378,6 @@ def _parse_camera(document, label) -> Camera:
         raise GffeError(f"{label} must have {', '.join(_CAMERA)}")
     with within(label):
         return Camera(**{name: document[name] for name in _CAMERA})
-
-
-def _parse_size(value, label, what="render_size") -> tuple[int, int]:
-    if not isinstance(value, list) or len(value) != 2:
-        raise GffeError(f"{label}: {what} must be [width, height], got {shown(value)}")
-    width, height = (require_whole(side, f"{label}: {what}", 1, MOST_SIDE) for side in value)
-    return width, height
-
-
-def _true_or_false(value, what) -> bool:
-    if isinstance(value, bool):
-        return value
-    raise GffeError(f"{what} must be true or false, got {shown(value)}")
 
 
 def rendered_entry(number: int, frame: RenderedFrame, size: tuple[int, int]) -> FrameEntry:

@@ -212,16 +212,15 @@ class SequenceWriter:
             self._end_threads()
 
     def _end(self, failed: bool, interrupted: bool) -> None:
+        is_whole = False
         try:
-            if failed:
+            if not failed:
+                self._finish(interrupted)
+                is_whole = True
+        finally:
+            if not is_whole:
                 self._stop()
                 self._folder.discard()
-            else:
-                self._finish(interrupted)
-        except BaseException:
-            self._stop()
-            self._folder.discard()
-            raise
 
     def _finish(self, interrupted: bool) -> None:
         while self._pending:

@@ -1,5 +1,5 @@
-"""Training of the shading correction network: resumable, on a CPU or a GPU (`gffe train`). Its losses are in the encoded
-space (paper: appendix, 'Loss Functions')."""
+"""Training of the shading correction network: resumable, on a CPU or a GPU (`gffe train`). Its losses are in the
+encoded space (paper: appendix, 'Loss Functions')."""
 
 from __future__ import annotations
 

@@ -123,8 +123,8 @@ BROKEN = {
     "time NaN": (lambda d: d["frames"][2].update(time=float("nan")), "time must be a finite number"),
     "time missing": (lambda d: d["frames"][2].pop("time"), "time must be a finite number, got nothing"),
     "unknown kind": (lambda d: d["frames"][2].update(kind="drawn"), "kind must be one of"),
-    "reset a number": (lambda d: d["frames"][2].update(reset=1), "reset must be true or false"),
-    "size zero": (lambda d: d["frames"][2].update(render_size=[0, H]), "whole number"),
+    "reset a number": (lambda d: d["frames"][2].update(reset=1), "reset must be True or False"),
+    "size zero": (lambda d: d["frames"][2].update(render_size=[0, H]), "whole pixels"),
     "alpha": (lambda d: d["frames"][2].update(alpha=0), "alpha must be greater than 0"),
 }
 
@@ -149,7 +149,7 @@ def test_broken_frame(folder, name):
         ({"exposure": 0}, "exposure must be a finite number from 1e-06 to 1e+06"),
         ({"fps": True}, "fps must be a finite number"),
         ({"width": True}, "width must be a whole number"),
-        ({"unfinished": 1}, "unfinished must be true or false"),
+        ({"unfinished": 1}, "unfinished must be True or False"),
         ({"frames": []}, "at least one frame"),
         ({"frames": [3]}, "frame 0: must be an object"),
     ],
