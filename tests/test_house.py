@@ -106,15 +106,15 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_109,
+    "gffe_cl": 37_777,
     "viewer": 11_995,
     "kernels": 10_185,
-    "tests": 28_381,
+    "tests": 28_387,
     "docs/tools": 3_588,
     "docs/examples": 1_822,
     "docs/*.md": 4_395,
 }
-MOST_MODULES = 224
+MOST_MODULES = 207
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
 
 

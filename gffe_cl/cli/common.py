@@ -122,9 +122,9 @@ EncodeOption = Annotated[
     str | None,
     typer.Option(
         "--encode",
-        metavar="PART,…[:WxH]",
+        metavar="PART,…",
         help="Encoding of rendered frames: engine, game, or parts of these, such as half-uv, taa or hud"
-        " (docs/formats.md#encodings). WxH: of the motion's units.",
+        " (docs/formats.md#encodings).",
     ),
 ]
 WindowOption = Annotated[
@@ -145,12 +145,9 @@ def parse_size(text: str) -> tuple[int, int]:
 
 def parse_encoding(text: str | None) -> Encoding:
     """Return the encoding of --encode; the exact one if it is not given."""
-    from gffe_cl.captures.sequence.encoding import CODE_SIZE, EXACT, Encoding
+    from gffe_cl.captures.sequence.encoding import EXACT, Encoding
 
-    if text is None:
-        return EXACT
-    parts, colon, size = text.partition(":")
-    return Encoding.parse(parts, parse_size(size) if colon else CODE_SIZE)
+    return EXACT if text is None else Encoding.parse(text)
 
 
 def parse_numbers(text: str, option: str) -> list[float]:
@@ -232,15 +229,6 @@ def _finite(value):
 def counted(count: int, what: str) -> str:
     """Return a number of things: "1 frame", "2 frames"."""
     return f"{count} {what}" + ("" if count == 1 else "s")
-
-
-def duration(seconds: float) -> str:
-    """Return the text for a length of time: "80 s", "12 min", "3.5 h" or "4 days"."""
-    if seconds < 90:
-        return f"{seconds:.0f} s"
-    if seconds < 5400:
-        return f"{seconds / 60:.0f} min"
-    return f"{seconds / 3600:.1f} h" if seconds < 48 * 3600 else f"{seconds / 86400:.0f} days"
 
 
 def say(markup: str) -> None:

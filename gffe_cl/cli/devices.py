@@ -15,7 +15,6 @@ from gffe_cl.cli.common import (
     JsonOption,
     OverwriteOption,
     app,
-    duration,
     err,
     out,
     output_file,
@@ -184,7 +183,7 @@ def devices(
     if default:
         out.print("* the default: the most Mpixel/s in a test of arithmetic and memory, or about as many on a GPU")
         out.print("choose another with --device or GFFE_DEVICE")
-        when = "just now" if age is None else f"{duration(age)} ago"
+        when = "just now" if age is None else f"{age / 3600:.1f} hours ago"
         out.print(f"tested {when}; other programs slow the test down: --refresh repeats it")
         out.print(f"the default runs the network {RUNS_ON['gpu' if default.kind == 'gpu' else 'cpu']} (--scn-provider)")
     document = {"devices": [asdict(i) | {"default": i is default} for i in infos], "age_seconds": age or 0.0}

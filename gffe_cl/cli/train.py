@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import time
-from contextlib import ExitStack
 from pathlib import Path
 from typing import Annotated
 
@@ -61,9 +60,6 @@ def train(
         float | None,
         typer.Option(help="Time limit, minutes, a third of it for clips; the same command continues from there."),
     ] = None,
-    data_only: Annotated[
-        bool, typer.Option("--data-only", help="Training clips: make them, and do not train.")
-    ] = False,
     start: Annotated[
         Path | None,
         typer.Option(
@@ -98,27 +94,18 @@ def train(
         seed, steps, batch, learning_rate, final_learning_rate, shading, blend_weight, full_every, bfloat16, integers
     )
     data = data or folder / "data"
-    begun = None if data_only else clips_of_run(folder)
+    begun = clips_of_run(folder)
     if begun is not None and clips < begun:
         raise GffeError(f"--clips {clips}: {folder} was started with {begun} (expected at least as many)")
     wanted = begun or clips
-    with progress_bars() as bars, ExitStack() as stack:
-        if not data_only:
-            stack.enter_context(only_process(folder))
+    with progress_bars() as bars, only_process(folder):
         if begun:
             bars.console.print(f"going on with the {begun} clips that this run was started with")
         started, limit = time.monotonic(), None if minutes is None else 60 * minutes
-        clips_until = None if limit is None or begun else started + (limit if data_only else limit / 3)
+        clips_until = None if limit is None or begun else started + limit / 3
         task = bars.add_task("clips", total=wanted)
         on_clip = lambda made: bars.advance(task)  # noqa: E731
         make_clips(data, open_device(device), seed, wanted, on_clip, clips_until, _LEAST_CLIPS)
-        if data_only:
-            made = len(finished_clips(data, seed, wanted))
-            out.print(
-                f"clips: {made} of {wanted}" + ("; run the same command again to continue" if made < wanted else "")
-            )
-            write_json(json_path, {"clips": made, "done": False})
-            return
         count = len(finished_clips(data, seed, wanted))
         training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start)
         bars.reset(task, description="steps", total=steps, completed=training.step)

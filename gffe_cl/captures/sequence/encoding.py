@@ -195,7 +195,7 @@ class _Canvas:
                 self.rectangle(x0, y0, x0 + stroke, y0 + stroke, color)
 
 
-CODE_SIZE = (1920, 1080)
+_CODE_SIZE = np.array((1920.0, 1080.0))  # pixels, of the image in whose sides motion is stored
 PLANES = 0.01, 1e5  # world units, of logarithmic depth
 _SHORT_RANGE = 1 / 16  # of the image: the longest motion in 8 bits
 
@@ -238,14 +238,12 @@ _RENDERED, _ON_DISPLAY = {TAA, JITTERED, HALF}, {TAA, JITTERED, HALF, HUD}
 
 @dataclass(frozen=True)
 class Encoding:
-    """Encoding of a frame's buffers. `parts`: names of PARTS; `size`: (width, height), pixels, of the image in whose
-    sides motion is stored."""
+    """Encoding of a frame's buffers. `parts`: names of PARTS."""
 
     parts: frozenset[str] = frozenset()
-    size: tuple[int, int] = CODE_SIZE
 
     @classmethod
-    def parse(cls, text: str, size: tuple[int, int] = CODE_SIZE) -> Encoding:
+    def parse(cls, text: str) -> Encoding:
         """Return the encoding of a text PART[,PART…]; the names of PRESETS stand for several parts. Raises
         GffeError."""
         parts: set[str] = set()
@@ -257,7 +255,7 @@ class Encoding:
         if len(parts & set(MOTION_CODES)) > 1:
             codes = ", ".join(MOTION_CODES)
             raise GffeError(f"--encode: '{text}' stores motion in several ways (expected one of {codes})")
-        return cls(frozenset(parts), size)
+        return cls(frozenset(parts))
 
     @property
     def is_rendered(self) -> bool:
@@ -283,7 +281,7 @@ class Encoding:
         if code is None:
             return motion
         with np.errstate(over="ignore"):
-            return (code(motion / np.array(self.size, np.float64)) * self.size).astype(np.float32)
+            return (code(motion / _CODE_SIZE) * _CODE_SIZE).astype(np.float32)
 
     def frame(self, frame: RenderedFrame, exposure: float = 1.0) -> RenderedFrame:
         """Return `frame`, of host arrays, after being stored. Where `is_rendered`, it must be antialiased and jittered

@@ -41,11 +41,6 @@ def test_motion_has_steps(text, expected):
         assert np.abs(stored - motion)[..., component].max() <= 0.5001 * max(of_signs)
 
 
-def test_steps_are_those_of_a_size():
-    small = Encoding.parse("half-uv", (480, 270)).motion(ramp(0, 8))
-    assert np.allclose(steps(small[..., 0])[0], 480 / 1024) and np.allclose(steps(small[..., 1])[0], 270 / 1024)
-
-
 def test_depth_and_color():
     depth, color = 1 + 50 * np.random.default_rng(1).random((2, H, W)).astype(np.float32)
     view = camera(W, H, (1, 2, 3), yaw=0.3)
