@@ -107,9 +107,9 @@ def absolute(module, path, node):
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
     "gffe_cl": 37_777,
-    "viewer": 11_995,
+    "viewer": 11_998,
     "kernels": 10_185,
-    "tests": 28_387,
+    "tests": 28_184,
     "docs/tools": 3_588,
     "docs/examples": 1_822,
     "docs/*.md": 4_395,

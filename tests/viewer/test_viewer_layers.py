@@ -166,84 +166,62 @@ def test_display_survives_json(display):
     assert Display.from_dict(json.loads(json.dumps(display.to_dict()))) == display
 
 
-@pytest.mark.parametrize(
-    "damage",
-    [
-        {"exposure": "bright"},
-        {"exposure": float("nan")},
-        {"tone_map": "filmic"},
-        {"color_map": 3},
-        {"plane": -1},
-        {"motion_scale": 0},
-        {"tint": [1, 2]},
-        {"inverse": 1},
-        {"unknown": 1},
-        {"low": None},
-    ],
-)
-def test_damaged_settings_fall_back(damage):
-    assert Display.from_dict({"high": 7} | damage) == Display(high=7.0)
+def test_damaged_settings_fall_back():
+    numbers = {"exposure": "bright", "low": float("nan"), "plane": -1, "motion_scale": 0}
+    others = {"tone_map": "filmic", "color_map": 3, "tint": [1, 2], "inverse": 1, "reverse": None, "unknown": 1}
+    for name, value in (numbers | others).items():
+        assert Display.from_dict({"high": 7, name: value}) == Display(high=7.0), name
 
 
 # ---- ranges --------------------------------------------------------------------------------------------
 
 
-def test_depth_range_skips_sky_invalid_and_outliers():
-    depth = np.random.default_rng(1).uniform(2, 10, (60, 80))
-    depth[0, :6] = (np.inf, np.nan, 0, -5, 1e9, 1e-9)
+def test_ranges_skip_sky_invalid_pixels_and_outliers():
+    rng = np.random.default_rng(1)
+    depth, motion = rng.uniform(2, 10, (60, 80)), rng.normal(0, 3, (50, 70, 2))
+    depth[0, :6], motion[0, 0] = (np.inf, np.nan, 0, -5, 1e9, 1e-9), np.inf
     made = ranged(DEPTH, depth)
     valid = depth[np.isfinite(depth) & (depth > 0)]
     assert (made.low, made.high) == pytest.approx(tuple(np.quantile(valid, (0.01, 0.99))), rel=1e-5)
-
-
-def test_range_of_nothing_is_left_alone():
-    display = Display(low=3, high=4, motion_scale=5)
-    assert ranged(DEPTH, np.full((4, 4), np.inf), display) == display
-    assert ranged(MOTION, np.full((4, 4, 2), np.nan), display) == display
-    assert ranged(DEPTH, np.zeros((0, 4)), display) == display
-    assert ranged(FINAL, np.ones((4, 4, 4)), display) == display
-
-
-@pytest.mark.parametrize("value", [0.0, 1.0, -3.0])
-def test_range_of_one_value_holds_zero_and_is_not_empty(value):
-    made = ranged(BY_NAME["shading.input_mask"], np.full((9, 9), value))
-    assert made.low <= min(value, 0) and made.high >= max(value, 0) and made.high > made.low
-
-
-def test_range_shows_the_few_that_differ():
-    values = np.full((100, 100), 0.5)
-    values[50, :20] = 1
-    made = ranged(BY_NAME["shading.input_mask"], values)
-    assert (made.low, made.high) == (0, 1)
-    values[:80] = 0
-    values[50, :5] = 1  # a rare value of a code
-    made = ranged(BY_NAME["shading.input_mask"], values)
-    assert (made.low, made.high) == (0, 1)
-
-
-def test_motion_scale_is_a_high_quantile_of_length():
-    motion = np.random.default_rng(2).normal(0, 3, (50, 70, 2))
-    motion[0, 0] = np.inf
     expected = np.quantile(np.hypot(*motion.reshape(-1, 2)[1:].T), 0.99)
     assert ranged(MOTION, motion).motion_scale == pytest.approx(expected, rel=1e-5)
 
 
-def test_place_scale_counts_from_the_own_position():
+def test_range_of_nothing_is_left_alone():
+    display = Display(low=3, high=4, motion_scale=5)
+    for spec, size, value in (
+        (DEPTH, (4, 4), np.inf),
+        (MOTION, (4, 4, 2), np.nan),
+        (DEPTH, (0, 4), 0),
+        (FINAL, (4, 4, 4), 1),
+    ):
+        assert ranged(spec, np.full(size, value), display) == display
+
+
+def test_range_of_few_values_holds_zero_and_all_of_them():
+    spec, values = BY_NAME["shading.input_mask"], np.full((100, 100), 0.5)
+    for value in (0.0, 1.0, -3.0):
+        made = ranged(spec, np.full((9, 9), value))
+        assert made.low <= min(value, 0) and made.high >= max(value, 0) and made.high > made.low
+    values[50, :20] = 1
+    for zeros in (0, 80):  # a rare value of a code, too
+        values[:zeros], values[50, :5] = 0, 1
+        made = ranged(spec, values)
+        assert (made.low, made.high) == (0, 1)
+
+
+def test_ranges_of_places_count_from_the_own_position():
+    """... in the rendered image, here of twice the size, or in the target."""
     x, y = np.meshgrid(np.arange(40) + 0.5, np.arange(30) + 0.5)
-    spec = BY_NAME["background.px_1"]
-    px = np.stack([2 * x + 3, 2 * y - 4], -1)  # 5 px away in a rendered image of twice the size
-    px[0, 0] = 0  # nothing there
-    assert ranged(spec, px, frame=FrameInfo((160, 120), render_size=(80, 60))).motion_scale == pytest.approx(
-        5, rel=1e-4
-    )
-
-
-def test_target_places_count_in_the_target_image():
-    x, y = np.meshgrid((np.arange(40) + 0.5) / 40, (np.arange(30) + 0.5) / 30)
-    ahead = np.stack([x * 160 + 6, y * 120, np.ones_like(x), np.zeros_like(x)], -1)
-    ahead[1, 1] = (1e6, 0, -1, 0)  # nothing to splat
-    frame = FrameInfo((160, 120), render_size=(40, 30))
-    assert ranged(BY_NAME["prediction.target_position"], ahead, frame=frame).motion_scale == pytest.approx(6, rel=1e-4)
+    px = np.stack([2 * x + 3, 2 * y - 4], -1)
+    ahead = np.stack([4 * x + 6, 4 * y, np.ones_like(x), np.zeros_like(x)], -1)
+    px[0, 0], ahead[1, 1] = 0, (1e6, 0, -1, 0)  # nothing there
+    for name, places, rendered, scale in (
+        ("background.px_1", px, (80, 60), 5),
+        ("prediction.target_position", ahead, (40, 30), 6),
+    ):
+        frame = FrameInfo((160, 120), render_size=rendered)
+        assert ranged(BY_NAME[name], places, frame=frame).motion_scale == pytest.approx(scale, rel=1e-4)
 
 
 def test_world_range_is_of_distances_from_the_own_fragment():
@@ -311,40 +289,27 @@ def test_color_maps_run_as_they_should():
 
 
 def test_labels_can_be_told_apart():
-    colors = np.array(LABEL_COLORS)
-    assert colors.shape == (16, 3)
-    apart = np.linalg.norm(colors[:, None] - colors[None], axis=-1) + np.eye(16)
-    assert apart.min() > 0.15
     shown = legend(BY_NAME["frame.filled_by"], Display()).labels
-    assert [text for text, _ in shown] == [text for _, text in FILLED_BY]
-    rgb = np.array([color for _, color in shown])
-    assert (np.linalg.norm(rgb[:, None] - rgb[None], axis=-1) + np.eye(len(rgb))).min() > 0.35
+    assert [text for text, _ in shown] == [text for _, text in FILLED_BY] and len(LABEL_COLORS) == 16
+    for colors, least in ((np.array(LABEL_COLORS), 0.15), (np.array([color for _, color in shown]), 0.35)):
+        apart = np.linalg.norm(colors[:, None] - colors[None], axis=-1) + np.eye(len(colors))
+        assert apart.min() > least
+    bits = dict(legend(BY_NAME["connectivity.links"], Display()).labels)
+    assert bits["15"] == LABEL_COLORS[0] and bits["0"] == LABEL_COLORS[15], "the full set is calm"
 
 
-def test_the_full_set_of_bits_is_calm():
-    shown = dict(legend(BY_NAME["connectivity.links"], Display()).labels)
-    assert shown["15"] == LABEL_COLORS[0] and shown["0"] == LABEL_COLORS[15]
-
-
-def test_ramp_legend():
+def test_legends():
     made = legend(DEPTH, Display(low=2, high=10, color_map="viridis"))
     assert [text for _, text, _ in made.ticks] == ["2", "4", "6", "8", "10"]
     assert made.labels == (("sky", SKY),) and made.unit == "world units"
     np.testing.assert_allclose(made.ticks[0][2], color_table("viridis")[0])
     inverse = legend(DEPTH, Display(low=2, high=10, inverse=True)).ticks
     assert float(inverse[2][1]) == pytest.approx(1 / (0.5 * (1 / 2 + 1 / 10)), rel=1e-3)
-
-
-def test_wheel_legend_and_colors():
     made = legend(MOTION, Display(motion_scale=8))
     assert made.kind == "wheel" and made.unit == "full color from 8 px"
-    assert wheel_color(0, 1) == (1, 0, 0) and wheel_color(0.5, 5) == (0, 1, 1)
-    assert wheel_color(0.3, 0) == (0.08,) * 3
-
-
-def test_channel_of_a_vector_has_a_ramp():
     assert legend(MOTION, Display(channel="x")).kind == "ramp" and legend(FINAL, Display()).kind == "none"
     assert legend(BY_NAME["frame.disoccluded"], Display(tint=(1, 0, 0))).labels[1] == ("1", (1, 0, 0))
+    assert wheel_color(0, 1) == (1, 0, 0) and wheel_color(0.5, 5) == (0, 1, 1) and wheel_color(0.3, 0) == (0.08,) * 3
 
 
 @pytest.mark.parametrize(

@@ -26,7 +26,7 @@ def _luminance(color) -> float:
 @case
 def appearance(gui: Gui):
     """Theme, size of the interface, hiding the panels."""
-    app, values = gui.app, gui.values
+    app = gui.app
 
     def bright():
         return float(gui.window()[-8:].mean())
@@ -40,48 +40,47 @@ def appearance(gui: Gui):
         return min((max(text, grab) + 0.05) / (min(text, grab) + 0.05) for grab in grabs)
 
     _, top, _, height = gui.area("//Modules/choice/###hole filling")
-    values["room"] = gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector").pos.y) - top - height
-    values["bright"], values["contrast"] = [bright()], [gui.on_screen(contrast)]
+    assert gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector").pos.y) > top + height
+    assert bright() < 80 and gui.on_screen(contrast) > 4.5
     gui.key(KEY.t, CTRL)
     gui.frames(2)
-    values["bright"].append(bright())
-    values["contrast"].append(gui.on_screen(contrast))
+    assert app.model.settings.theme == "light" and bright() > 180 and gui.on_screen(contrast) > 4.5
     gui.shot("light theme")
-    values["theme"] = app.model.settings.theme
     gui.key(KEY.t, CTRL)
     gui.frames(2)
-    values["letters"] = [letters()]
+    usual = letters()
     gui.key(KEY.equal, CTRL)
     gui.frames(2)
-    values["letters"].append(letters())
+    assert letters() > usual
     for _ in range(7):
         gui.key(KEY.equal, CTRL)
     gui.frames(3)
     gui.shot("twice as large")
-    values["exposure"] = gui.area("//Layers/###exposure")[2:]
+    *_, width, height = gui.area("//Layers/###exposure")
+    assert width > 2.5 * height, "of one line: +0.00 EV has room"
     for _ in range(8):
         gui.key(KEY.minus, CTRL)
     gui.frames(2)
-    values["letters"].append(letters())
+    assert letters() == usual
     app.model.settings.ui_scale = 0.0
-    widths = [gui.area()[2]]
+    width = gui.area()[2]
     app.docks.toggle("Kernels")
     gui.key(KEY.b, CTRL)
     gui.frames(4)
-    widths.append(gui.area()[2])
-    values["layers when hidden"] = app.docks.panel("Layers").is_visible
+    assert gui.area()[2] > 1.3 * width and not app.docks.panel("Layers").is_visible
     gui.shot("panels hidden")
     gui.key(KEY.b, CTRL)
     gui.frames(4)
-    widths.append(gui.area()[2])
-    values["widths"] = widths
-    values["kernels stay closed"] = not app.docks.panel("Kernels").is_visible
+    assert abs(gui.area()[2] - width) <= 3 and not app.docks.panel("Kernels").is_visible
     app.docks.toggle("Layers")
     gui.frames(3)
     app.actions.run("layout")
     gui.frames(4)
-    closed = [name for name in app.docks.names if not app.docks.panel(name).is_visible]
-    values["default arrangement"] = {"width": gui.area()[2], "closed": closed}
+    assert abs(gui.area()[2] - width) <= 8 and closed(app) == ["Doctor", "Differences", "Ablation", "Plot", "Over time"]
+
+
+def closed(app) -> list[str]:
+    return [name for name in app.docks.names if not app.docks.panel(name).is_visible]
 
 
 def _made(before: set[Path]) -> list[Path]:
@@ -93,7 +92,7 @@ def saving(gui: Gui):
     """PNG and EXR in the working folder."""
     from gffe_cl.captures.sequence.exr import read_channels
 
-    model, values = gui.model, gui.values
+    model = gui.model
     before = set(Path.cwd().iterdir())
     gui.key(KEY.s, CTRL)
     gui.settle()
@@ -101,18 +100,16 @@ def saving(gui: Gui):
     saved = np.asarray(Image.open(png).convert("RGB")).astype(int)
     shown = to_display(model.contents.result.images["final"][..., :3], model.source.exposure)
     height, width = shown.shape[:2]
-    fault = np.abs(saved[:height, :width] - shown * 255).max()
-    values["png"] = {"size": saved.shape, "fault": float(fault)}
+    assert (height, width) == (108, 192) and np.abs(saved - shown * 255).max() < 1.5  # levels
     before = set(Path.cwd().iterdir())
     gui.key(KEY.e, CTRL)
     gui.frames(2)
     gui.wait(lambda: model.saving.work is None, "the layers")
     (folder,) = _made(before)
     images = gui.images()
-    values["exr"] = {"files": sorted(path.stem for path in folder.iterdir()), "layers": sorted(images)}
+    assert sorted(path.stem for path in folder.iterdir()) == sorted(images)
     depth = read_channels(folder / "frame.depth.exr", ["Y"], "depth")["Y"]
-    values["exr"]["depth is right"] = bool(np.array_equal(depth, images["frame.depth"]))
-    values["told"] = gui.told()
+    assert np.array_equal(depth, images["frame.depth"]) and ".png" in gui.told() and "layers" in gui.told()
 
 
 _NOT_ALONE = ("open", "open_path", "save_into", "b_from", "quit", "palette", "stop", "copy_command", "copy_command_b")
@@ -121,8 +118,7 @@ _NOT_ALONE = ("open", "open_path", "save_into", "b_from", "quit", "palette", "st
 @case
 def every_action(gui: Gui):
     """Each action without an argument is run, that of a switch twice, so that it is as before."""
-    model, actions, values = gui.model, gui.app.actions, gui.values
-    values["failed"], before = [], len(model.messages)
+    model, actions, before = gui.model, gui.app.actions, len(gui.model.messages)
     for action in [action for action in actions if not action.takes and action.id not in _NOT_ALONE]:
         if gui.on_screen(lambda id=action.id: actions.why_not(id)) is None:
             for _ in range(1 + (action.id == "help" or actions.checked(action.id) is not None)):
@@ -130,9 +126,8 @@ def every_action(gui: Gui):
                 gui.frames(2)
             gui.wait(lambda: model.saving.work is None and not model.document.notice, action.id)
             gui.app.palette.close()
-            if model.engine.build_error or model.document.failure:
-                values["failed"].append(action.id)
-    values["told"] = [message.text for message in model.messages[before:] if message.error]
+            assert not (model.engine.build_error or model.document.failure), action.id
+    assert not [message.text for message in model.messages[before:] if message.error]
     actions.release_all()
     gui.app.actions.run("layout")
     gui.frames(3)
@@ -168,22 +163,16 @@ def leave_while_working(gui: Gui) -> None:
 
 def found_again(gui: Gui) -> None:
     """What a restart has restored."""
-    app, model, values = gui.app, gui.model, gui.values
+    app, model = gui.app, gui.model
     gui.wait(lambda: model.settled, "a settled picture")
     gui.frames(3)
-    shown = model.looks.of("frame.depth")
-    values |= {
-        "display": (shown.low, shown.high, shown.color_map),
-        "theme": model.settings.theme,
-        "bright": float(gui.window()[-8:].mean()),
-        "recent": [Path(path).name for path in model.settings.recent],
-        "options": (
-            model.parameters.options.crack_closing,
-            model.parameters.options.static_threshold,
-            model.parameters.options.shading_inputs,
-        ),
-        "playback": model.playback.preferences(),
-        "compare": (model.view.compare, model.view.b, model.view.split),
-        "panels": {name: app.docks.panel(name).is_visible for name in app.docks.names},
-        "window": tuple(imgui.get_io().display_size),
-    }
+    shown, options = model.looks.of("frame.depth"), model.parameters.options
+    assert (shown.low, shown.high, shown.color_map) == (2.0, 9.0, "viridis")
+    assert model.settings.theme == "light" and gui.window()[-8:].mean() > 180
+    recent = [Path(path).name for path in model.settings.recent]
+    assert recent[0] == "small" and "large" in recent
+    assert (options.crack_closing, options.static_threshold, options.shading_inputs) == (False, 1.5, True)
+    assert model.playback.preferences() == {"mode": "every frame", "speed": 0.5, "loop": False}
+    assert (model.view.compare, model.view.b, model.view.split) == ("split", "frame.motion", 0.25)
+    assert closed(app) == ["Timings", "Doctor", "Differences", "Ablation", "Plot", "Over time"]
+    assert tuple(imgui.get_io().display_size) == (1100, 700)

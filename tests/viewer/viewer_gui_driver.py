@@ -45,13 +45,12 @@ class Gui:
     def __init__(self, app: App, sequences: Path, artifacts: Path):
         self.app, self.model, self.sequences, self.artifacts = app, app.model, sequences, artifacts
         self.ctx = None
-        self.values: dict = {}
         self._jobs: list = []
         hello_imgui.get_runner_params().callbacks.before_swap = self._do_jobs
 
     def run(self, ctx, name: str, case) -> dict:
-        """Outcome of one case: its values, and the traceback if it failed; a picture of its end is kept."""
-        self.ctx, self.values, start, error = ctx, {}, time.perf_counter(), None
+        """Outcome of one case: the traceback if it failed; a picture of its end is kept."""
+        self.ctx, start, error = ctx, time.perf_counter(), None
         try:
             opened = lambda: self.model.source is not None and self.model.contents.result is not None  # noqa: E731
             self.wait(opened, "the sequence", 4 * PATIENCE)  # kernels are built first
@@ -63,7 +62,7 @@ class Gui:
         except BaseException:  # the test engine would go on without a word
             error = traceback.format_exc()
             print(f"--- {name}\n{error}", flush=True)
-        return {"error": error, "values": self.values, "seconds": round(time.perf_counter() - start, 2)}
+        return {"error": error, "seconds": round(time.perf_counter() - start, 2)}
 
     # ---- waiting -----------------------------------------------------------------------------------------
 
@@ -224,7 +223,7 @@ class Gui:
 
 
 def run(app: App, cases: dict, report: Path, artifacts: Path, at_end=None, size=None) -> None:
-    """Run all `cases` (name → function of a Gui that fills `values`) in the window of `app`, then `at_end`; write the
+    """Run all `cases` (name → function of a Gui) in the window of `app`, then `at_end`; write the
     JSON `report` and close."""
     outcomes: dict[str, dict] = {}
 
@@ -245,12 +244,7 @@ def run(app: App, cases: dict, report: Path, artifacts: Path, at_end=None, size=
 
     def leave(gui: Gui, ctx) -> None:
         outcomes["leave"] = gui.run(ctx, "leave", at_end or (lambda gui: None))
-        report.write_text(json.dumps({"cases": outcomes, "closed": time.time()}, indent=1, default=_plain))
+        report.write_text(json.dumps({"cases": outcomes, "closed": time.time()}, indent=1))
         app.close()
 
     running.run(app, size, test=register)
-
-
-def _plain(value):
-    """What JSON does not know."""
-    return value.tolist() if isinstance(value, (np.generic, np.ndarray)) else sorted(value)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import numpy as np
 from viewer_gui_driver import KEY, Gui, collector
 
 CASES, case = collector()
@@ -11,8 +12,7 @@ ALT = KEY.mod_alt.value
 @case
 def finding_frames(gui: Gui):
     """Every generated frame is measured; the worst one is found, and its worst pixel; a click goes to a frame."""
-    model, values = gui.model, gui.values
-    survey = model.survey
+    model, survey = gui.model, gui.model.survey
     gui.key(KEY.k)
     model.comparison.with_settings()
     model.set("motion", False)
@@ -20,23 +20,23 @@ def finding_frames(gui: Gui):
     gui.app.docks.show("Plot")
     model.measured.forget()  # what earlier cases have shown
     gui.frames(3)
-    values["empty"] = [gui.exists("//Plot/###survey")]
+    assert not gui.exists("//Plot/###survey")
     gui.shot("empty plot")
     gui.key(KEY.j, ALT)
     gui.wait(lambda: survey.on and not survey.busy, "the survey", 60)
     gui.frames(3)
-    values["empty"].append(gui.exists("//Plot/###survey"))
-    values["slots"] = [sorted(map(int, survey.curve(side)[0])) for side in (survey.a, survey.b)]
+    assert gui.exists("//Plot/###survey")
+    assert all(survey.curve(side)[0].tolist() == list(range(1, 16, 2)) for side in (survey.a, survey.b))
     curve = dict(zip(*map(list, survey.curve(survey.a)), strict=True))
     gui.shot("plot")
     gui.key(KEY.j)
     gui.settle()
-    values["worst"] = [model.slot, min(curve, key=curve.get)]
+    assert model.slot == min(curve, key=curve.get)
     model.comparison.set("error")
     gui.settle()
     gui.key(KEY.w, ALT)
     gui.settle()
-    values["worst pixel"] = [model.pointing.picked is not None, model.messages[-1].text]
+    assert model.pointing.picked is not None and "largest: " in model.messages[-1].text
     model.comparison.set("off")
     gui.ctx.mouse_move("//Plot/###survey")
     left, top, width, height = gui.area("//Plot/###survey")
@@ -44,7 +44,7 @@ def finding_frames(gui: Gui):
     gui.ctx.mouse_click(0)
     gui.frames(2)
     gui.settle()
-    values["clicked"] = model.slot
+    assert model.slot == 9
     model.survey.on = False
     gui.app.docks.panel("Plot").is_visible = False
     gui.frames(3)
@@ -53,27 +53,32 @@ def finding_frames(gui: Gui):
 @case
 def walking_along_a_story(gui: Gui):
     """The links of a story: to the rendered frame and pixel, to the layer that decided, and back."""
-    model, values = gui.model, gui.values
+    model = gui.model
     gui.ctx.window_focus("//Inspector")
     model.pointing.pick((180, 84))  # on the walker
     gui.settle()
     story = model.pointing.story
-    values["links"] = [[link.label, link.layer] for step in story.sentences for link in getattr(step, "links", ())]
-    values["way"] = [[point.k, *point.px] for point in story.way]
+    links = [(link.label, link.layer) for step in story.sentences for link in getattr(step, "links", ())]
+    assert ("frame 6", "final") in links and ("dynamic mask", "history.dynamic_mask") in links
+    way = np.array([point.px for point in story.way])
+    assert [point.k for point in story.way] == [6, 5, 4, 3, 2, 1, 0]
+    steps = np.diff(way, axis=0)  # back in time, a walker who comes nearer from the left
+    assert (steps[:, 0] < -2).all() and (np.abs(steps) < 8).all()
     gui.shot("way of a fragment")
     before = model.view.a, model.slot, model.pointing.picked
     gui.click("//Inspector/###0 frame 6")
     gui.settle()
-    values["at the rendered frame"] = [model.slot, list(model.pointing.picked), model.pointing.story.sentences[0]]
+    assert model.slot == 12 and model.pointing.story.sentences[0] == "Rendered frame 6 as it is."
+    assert np.abs(np.add(model.pointing.picked, 0.5) - way[0]).max() <= 0.5
     gui.click("//Inspector/###1 dynamic mask")
     gui.settle()
-    values["layer"] = model.view.a
+    assert model.view.a == "history.dynamic_mask"
     gui.click(f"//Inspector/###way {story.way[2].k}")
     gui.settle()
-    values["two before"] = [model.slot, list(model.pointing.picked)]
+    assert model.slot == 8 and np.abs(np.add(model.pointing.picked, 0.5) - way[2]).max() <= 1.5
     for _ in range(3):
         gui.key(KEY.backspace)
         gui.settle()
-    values["back"] = (model.view.a, model.slot, model.pointing.picked) == before
-    values["back is disabled"] = gui.app.actions.why_not("back")
+    assert (model.view.a, model.slot, model.pointing.picked) == before
+    assert gui.app.actions.why_not("back") == "no link was followed"
     model.pointing.pick(None)

@@ -158,8 +158,9 @@ class Captions:
 
     def _layer(self, name: str | None) -> Legend | None:
         spec = self._contents.spec(name)
-        missing = name is None or spec is None or self._contents.image(name) is None
-        return None if missing else legend(spec, self._looks.of(name))
+        if name is None or spec is None or self._contents.image(name) is None:
+            return None
+        return legend(spec, self._looks.of(name))
 
     def _sides(self) -> tuple[Side, Side] | None:
         """Return the layers that are compared, with their displays; None if one is missing."""

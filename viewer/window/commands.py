@@ -50,7 +50,6 @@ recorded = needs(lambda model: not model.source.live, "only of recorded frames")
 on_disk = needs(lambda model: model.source.target, "only of a sequence on disk or a scene")
 savable = needs(lambda model: model.saving.work is None, "something is being saved")
 computing = needs(lambda model: model.stopped or model.showing.is_waiting, "nothing is being computed")
-keeps_b = needs(lambda model: model.kept.b is not None, "no settings are kept as B")
 shows_error = needs(
     lambda model: model.view.compare in ("difference", "error", "flip error"),
     "show a difference or an error first (D, M)",
@@ -60,7 +59,10 @@ has_left = needs(lambda model: model.walk.can_go_back, "no link was followed")
 
 def second(app: App) -> str | None:
     """Return why there are no settings of B to go on with."""
-    return keeps_b(app) or ("B is pictures, not settings" if app.model.kept.b.place else None)
+    kept = app.model.kept.b
+    if kept is None:
+        return opened(app) or "no settings are kept as B"
+    return opened(app) or ("B is pictures, not settings" if kept.place else None)
 
 
 def comparable(way: str, app: App) -> str | None:
