@@ -265,6 +265,7 @@ class FormatChange(Finding):
 
 
 _TWO = {"motion_direction": tuple(DIRECTIONS), "motion_y": VERTICALS, "rows": VERTICALS}
+_TWO["motion_jittered"] = False, True
 _UNITS = {("uv", 0.5): "ndc", ("ndc", 2.0): "uv"}  # described unit and a factor that was found: the right one
 
 
@@ -320,6 +321,7 @@ class CameraKey(Finding):
             "matrix": "its matrices are inverted",
             "rotation": "its rotations are transposed, as of row vectors",
             "translation": "its matrices hold the position in place of the translation",
+            "jitter": "its principal point has the jitter that color has not",
         }
         if self.key == "focal_scale":
             factor = 1 / self.value

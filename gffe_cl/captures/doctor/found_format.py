@@ -29,6 +29,7 @@ _CAMERAS = {
     "matrix": ("world_to_view", "view_to_world"),
     "rotation": ("as stored", "transposed"),
     "translation": ("as stored", "position"),
+    "jitter": ("as stored", "geometry_jitter"),
 }
 _MOST_OFFSET = 16  # frames
 
@@ -108,18 +109,23 @@ def with_format(sequence: Sequence, found: FoundFormat) -> Sequence:
             continue
         sources[entry.file] = {buffer: given[n] for buffer, n in at.items()}
         other = sources[entry.file]["camera"]
-        read = {"render_camera": other.render_camera, "display_camera": other.display_camera}
-        read = {name: camera and found.cameras.read(camera) for name, camera in read.items()}
-        converted: dict[str, Any] = {"geometry_size": None}  # as `_FoundPixels.read` returns them
         size = sequence.size_of(entry)
-        if require_render_size(sequence.format, size, entry.geometry_size) != size:
+        geometry = require_render_size(sequence.format, size, entry.geometry_size)
+        jitter = np.array(jitter_in_color(entry.geometry_jitter, size, geometry))
+        render, shown = other.render_camera, other.display_camera
+        read = {
+            "render_camera": render and found.cameras.read(render, jitter),
+            "display_camera": shown and found.cameras.read(shown, jitter * (shown == render)),
+        }
+        converted: dict[str, Any] = {"geometry_size": None}  # as `_FoundPixels.read` returns them
+        if geometry != size:
             converted["geometry_jitter"] = NO_JITTER
         rendered.append(replace(entry, reset=entry.reset or was_left_out or k == 0, **converted, **read))
         was_left_out = False
     if given and not rendered:
         raise GffeError(f"{sequence.path}: no rendered frame is left with these frame offsets")
     others = [
-        replace(one, display_camera=one.display_camera and found.cameras.read(one.display_camera))
+        replace(one, display_camera=one.display_camera and found.cameras.read(one.display_camera, np.zeros(2)))
         for one in sequence.frames
         if one.kind == "ground_truth"
     ]

@@ -27,7 +27,8 @@ _DRAWS = 48  # lines through two samples, of which the best one is kept
 
 @dataclass(frozen=True)
 class Motion:
-    """One way to read motion vectors; the fields are those of `FrameFormat`. `to_next`: they lead to the next frame."""
+    """One way to read motion vectors; the fields are those of `FrameFormat`. `to_next`: they lead to the next frame;
+    `other_jitter`: `motion_jittered` has the other value than the frames were read with."""
 
     direction: str = "to_previous"
     y: str = "down"
@@ -35,6 +36,7 @@ class Motion:
     scale: float = 1.0
     camera: str = "included"
     to_next: bool = False
+    other_jitter: bool = False
 
     @property
     def step(self) -> int:
@@ -43,18 +45,21 @@ class Motion:
     def pixels(self, look: Look) -> np.ndarray | None:
         """Return the vectors (N, 2), in pixels, of the samples of `look`; None where there are none, or no frame that
         they lead to."""
-        if look.motion is None or self.step not in look.neighbors:
+        stored = look.stored_motion
+        if stored is None or self.step not in look.neighbors:
             return None
         sides = {"pixels": (1.0, 1.0), "uv": look.size, "ndc": np.divide(look.size, 2)}[self.unit]
         sign = DIRECTIONS[self.direction] * self.scale
         factors = np.multiply(sides, sign) * (1, -1 if self.y == "up" else 1)
-        return (look.motion - look.added) * factors + look.added
+        return stored * factors + look.shift * (look.unjittered != self.other_jitter)
 
     def findings(self) -> list[Finding]:
         made: list[Finding] = []
         for name in ("direction", "y", "unit"):
             if getattr(self, name) != getattr(GIVEN.motion, name):
                 made.append(FormatChange(f"motion_{name}", {f"motion_{name}": getattr(self, name)}))
+        if self.other_jitter:
+            made.append(FormatChange("motion_jittered", {"motion_jittered": True}))
         if self.scale != 1:
             made.append(FormatChange("motion_scale", {"motion_scale": (self.scale, self.scale)}))
         if self.camera != "included":
@@ -63,13 +68,14 @@ class Motion:
         return made + ([MotionToNext()] if self.to_next else [])
 
 
-def motions() -> list[Motion]:
-    """Return all hypotheses about motion vectors that cameras can judge, the usual one first."""
+def motions(jittered: bool) -> list[Motion]:
+    """Return all hypotheses about motion vectors that cameras can judge, the usual one first. `jittered`: whether
+    frames have a `geometry_jitter`."""
     kinds = [("pixels", 1.0), ("pixels", 0.5), ("pixels", 2.0), ("uv", 1.0), ("ndc", 1.0)]
     found = []
     for to_next, (unit, scale), y, direction in product((False, True), kinds, ("down", "up"), DIRECTIONS):
         found.append(Motion(direction, y, unit, scale, to_next=to_next))
-    return found
+    return found + [replace(one, other_jitter=True) for one in found if jittered and not one.to_next]
 
 
 @dataclass(frozen=True)
@@ -172,16 +178,18 @@ class Depth:
 @dataclass(frozen=True)
 class Cameras:
     """One way to read camera matrices: `VIEW_AXES[convention]` · layout(stored); `focal_scale` multiplies focal
-    lengths. These are the keys of the cameras of a found format."""
+    lengths; `jitter` "geometry_jitter" is part of the principal point by mistake. These are the keys of the cameras of
+    a found format."""
 
     convention: str = "gffe"
     matrix: str = "world_to_view"
     rotation: str = "as stored"
     translation: str = "as stored"
     focal_scale: float = 1.0
+    jitter: str = "as stored"
 
-    def read(self, camera: Camera) -> Camera:
-        """Return the camera with this hypothesis applied."""
+    def read(self, camera: Camera, jitter: np.ndarray) -> Camera:
+        """Return the camera with this hypothesis applied. `jitter`: of its frame's geometry, pixels."""
         m = camera.world_to_view
         if self.matrix == "view_to_world":
             m = np.linalg.inv(m)
@@ -193,8 +201,9 @@ class Cameras:
             m[:3, 3] = -m[:3, :3] @ m[:3, 3]
         if self.convention != "gffe":
             m = np.diag([*VIEW_AXES[self.convention], 1.0]) @ m
-        scale = self.focal_scale
-        return replace(camera, world_to_view=m, fx=camera.fx * scale, fy=camera.fy * scale)
+        scale, (x, y) = self.focal_scale, jitter * (self.jitter != "as stored")
+        made = replace(camera, world_to_view=m, fx=camera.fx * scale, fy=camera.fy * scale)
+        return replace(made, cx=camera.cx - float(x), cy=camera.cy - float(y))
 
     def keys(self) -> dict[str, Any]:
         """Return the keys that differ from frames in our conventions."""
@@ -208,6 +217,7 @@ def cameras(look: Look) -> list[Cameras]:
     """Return all hypotheses about cameras, the usual one first; `look`: any of them, for mistaken fields of view."""
     layouts = [{}, {"matrix": "view_to_world"}, {"rotation": "transposed"}, {"translation": "position"}]
     found = [Cameras(convention, **layout) for layout in layouts for convention in VIEW_AXES]
+    found += [Cameras(jitter="geometry_jitter")] if look.jitter.any() else []
     return found + [Cameras(focal_scale=scale) for scale in _mistaken_fields_of_view(look)]
 
 
@@ -249,7 +259,7 @@ class Reading:
         them, count little more than one, and so do vectors to the next frame."""
         m, given = self.motion, GIVEN.motion
         turns = [0, 1, _LITTLE_MORE][(m.direction != given.direction) + (m.y != given.y)]
-        parts = [turns, m.unit != "pixels", m.scale != 1, m.camera != "included", _LITTLE_MORE * m.to_next]
+        parts = [turns, m.unit != "pixels", m.scale != 1, m.other_jitter, m.camera != "included", _LITTLE_MORE * m.to_next]
         parts += [self.rows != "down", self.offset[1] != 0]
         depth = 0 if self.depth == GIVEN.depth else 2 if self.depth.law.added is not None else 1
         return sum(parts) + len(self.cameras.keys()) + depth

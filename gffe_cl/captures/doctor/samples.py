@@ -51,7 +51,8 @@ class Look:
     contrast : (N,) float32, how far the encoded color is from that of the pixels around
     image, deep : (H, W, 3) float, linear color of the whole frame as stored, and (H, W) its depth; None where they
         are not needed
-    added : (2,) float64, the difference of jitter in motion, pixels, that the conversion from a format added
+    jitter, shift : (2,) float64, of geometry, pixels, and its difference from that of the frame before
+    unjittered : whether the conversion from a format added `shift` to motion
     neighbors : {PREVIOUS, NEXT → Look}, as far as there are any without a reset in between
     """
 
@@ -70,8 +71,15 @@ class Look:
     bad: BadPixels
     first_bad: dict[str, tuple[int, int]] = field(default_factory=dict)
     exposure: float = 1.0
-    added: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    jitter: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    shift: np.ndarray = field(default_factory=lambda: np.zeros(2))
+    unjittered: bool = False
     neighbors: dict[int, Look] = field(default_factory=dict, repr=False)
+
+    @property
+    def stored_motion(self) -> np.ndarray | None:
+        """Motion (N, 2) before the conversion from a format added the difference of jitter."""
+        return self.motion - self.shift if self.unjittered and self.motion is not None else self.motion
 
     @property
     def solid(self) -> np.ndarray:
@@ -99,9 +107,10 @@ def take_looks(
     @QUIETLY  # on threads of its own
     def look(index: int) -> Look:
         made = _look(clip.read(entries[index]), index, entries[index], samples, index in images, exposure)
-        if clip.format and clip.format.motion_jittered and index and not made.reset:
-            here, before = (_jitter(entries[k], made.size, clip.format) for k in (index, index - 1))
-            made.added = np.subtract(here, before)
+        made.jitter = _jitter(entries[index], made.size, clip.format)
+        if index and not made.reset:
+            made.shift = made.jitter - _jitter(entries[index - 1], made.size, clip.format)
+            made.unjittered = clip.format is not None and clip.format.motion_jittered
         return made
 
     looks = dict(read_ahead(sorted(set(indices)), look, 2))
@@ -110,8 +119,9 @@ def take_looks(
     return relinked(looks)
 
 
-def _jitter(entry: FrameEntry, size: tuple[int, int], format: FrameFormat) -> tuple[float, float]:
-    return jitter_in_color(entry.geometry_jitter, size, entry.geometry_size or format.geometry_size or size)
+def _jitter(entry: FrameEntry, size: tuple[int, int], format: FrameFormat | None) -> np.ndarray:
+    geometry = entry.geometry_size or (format and format.geometry_size) or size
+    return np.array(jitter_in_color(entry.geometry_jitter, size, geometry))
 
 
 def relinked(looks: dict[int, Look]) -> dict[int, Look]:
@@ -142,8 +152,8 @@ def of_other_frames(looks: dict[int, Look], buffer: str, by: int) -> dict[int, L
         other = look.neighbors.get(by)
         if other is not None and len(other.px) == len(look.px):
             made[k] = replace(look, neighbors={}, **{n: getattr(other, n) for n in _FIELDS.get(buffer, (buffer,))})
-            if buffer == "motion" and other.motion is not None:
-                made[k].motion = other.motion - other.added + look.added
+            if buffer == "motion" and other.stored_motion is not None:
+                made[k].motion = other.stored_motion + look.shift * look.unjittered
     return relinked(made)
 
 

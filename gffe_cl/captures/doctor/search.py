@@ -105,8 +105,8 @@ class Bench:
         parts: tuple = ([], [], [], [], [])
         for look in self.looks:
             px = look.px[:: self._thin]
-            here = reading.read(look.camera)
-            there = reading.read(look.neighbors[step].camera) if step in look.neighbors else here
+            other = look.neighbors.get(step, look)
+            here, there = reading.read(look.camera, look.jitter), reading.read(other.camera, other.jitter)
             m, ray = here.to_view_of(there), rays(here, px)
             values = (ray, ray @ m[:3, :3].T, m[:3, 3], (there.fx, there.fy), (there.cx, there.cy))
             for part, value in zip(parts, values, strict=True):
@@ -143,9 +143,8 @@ class Bench:
             score[use] = np.where(inside, 1 / (1 + (off / 0.25) ** 2), _CHANCE)
         return score
 
-    def colors_along(self, motion: np.ndarray, step: int) -> float:
-        """Return the agreement of colors along `motion` (N, 2), where it moves; NaN without evidence."""
-        score = self.color_scores(motion, step)
+    def colors_along(self, motion: np.ndarray, score: np.ndarray) -> float:
+        """Return the mean `score` (N,) of colors along `motion` (N, 2), where it moves; NaN without evidence."""
         return trimmed(self.by_frame(score, np.isfinite(score) & _moving(motion)))
 
     def scale(self, reading: Motion, step: float) -> tuple[float, float]:
@@ -223,6 +222,7 @@ _HALF, _OTHER_HALF = 0.2, 0.55  # share of samples that agree in one half of the
 _MOST_WITH_ROWS = 2  # changes, if rows are one of them: a mirror image always fits as well
 _JITTER, _MOST_JITTER, _ALTERNATES = 0.08, 1.6, 0.8  # pixels; and of the mean offset of a frame: of all together
 _VISIBLE, _SEEN, _NOTHING, _MOVER = 0.3, 0.2, 2e-3, 0.05  # pixels; share; of the longest vectors
+_MOST_HELD = 0.9  # of the samples: more of them are a picture that does not move
 _TINY, _GARBAGE = 1e-7, 0.05  # pixels, not 0, as of numbers that are no vectors; share of the samples
 _GAIN = 0.012  # of color scores, where they are the only evidence
 _FOCALS, _LAST_STEP, _SAME_FOCAL, _SHARP = (
@@ -269,6 +269,7 @@ class Search:
     def __init__(self, looks: dict[int, Look], deep: list[int], step: float, undilated: bool):
         self.looks, self.deep, self._step = looks, deep, step
         self._sound = _LEAST if undilated else _SOUND
+        self._jittered = any(look.shift.any() for look in looks.values())
         self.bench = lru_cache(None)(self._bench)
 
     def _bench(self, rows: str = "down", offset: tuple[str, int] = ("", 0), thin: bool = False) -> Bench:
@@ -314,21 +315,35 @@ class Search:
         off = np.nan_to_num(np.linalg.norm(motion - static, axis=-1), nan=np.inf)
         if not use.any():
             return Verdict(reading, 0.0, 0.0, np.inf, 0.0, False)
+        scores = [bench.color_scores(one, step) for one in (motion, static)]
+        use &= ~self._held(bench, reading, motion, off, scores, use)
         length = float(np.median(np.linalg.norm(motion[use], axis=-1)))
         near = max(_NEAR[0] * length, _NEAR[1], self._step)
         share, quarter = float((off[use] <= near).mean()), float(np.quantile(off[use], 0.25, method="lower"))
         fits = quarter <= max(_CLOSE[0] * length, _CLOSE[1], self._step) and share >= _LEAST
         where = _half(bench, off <= near, use)
-        fits = fits and not where and not self._law_is_off(bench, reading, motion)
-        known = np.nan_to_num([bench.colors_along(one, step) for one in (motion, static)])
+        fits = fits and not where and not self._law_is_off(bench, reading, motion, use)
+        known = np.nan_to_num([bench.colors_along(*pair) for pair in zip((motion, static), scores, strict=True)])
         quarters = [np.quantile(off[part], 0.25, method="lower") if part.any() else np.nan for part in bench.parts(use)]
         agrees = self._agreement(bench, reading.motion, motion - static)
         color, median = float(known.mean()), float(np.median(off[use]))
         return Verdict(reading, agrees, color, median, share, fits, where, np.array(quarters))
 
-    def _law_is_off(self, bench: Bench, reading: Reading, motion: np.ndarray) -> bool:
-        """Return whether the depths of many samples are off together from those by the vectors, along epipolar
-        lines."""
+    def _held(self, bench: Bench, reading: Reading, motion, off, scores, use) -> np.ndarray:
+        """Return which of the samples `use` (N,) travel with the camera, as a cab does: they stay where they are in the
+        picture, by their vectors and by `scores` of colors along vectors and static motion; none if most others do."""
+        reach = bench.reach(reading.cameras, reading.motion.step)
+        fixed = reach.ray[:, :2] * reach.focal + reach.center - bench.px
+        stays = np.linalg.norm(motion - fixed, axis=-1) <= max(_MOVER, 0.5 * self._step)
+        held = use & stays & (off > max(_VISIBLE, 2 * self._step))
+        gains = (scores[0] - scores[1])[held]
+        gains = gains[np.isfinite(gains)]
+        is_seen = len(gains) >= _FEWEST and gains.mean() > _GAIN and held.sum() < _MOST_HELD * use.sum()
+        return held & is_seen
+
+    def _law_is_off(self, bench: Bench, reading: Reading, motion: np.ndarray, use: np.ndarray) -> bool:
+        """Return whether the depths of many of the samples `use` (N,) are off together from those by the vectors, along
+        epipolar lines."""
         strictness = 1.0 if reading.depth == GIVEN.depth else _STRICT[reading.depth.law.name == "logarithmic"]
         reach = bench.reach(reading.cameras, reading.motion.step)
         a, b = reach.equations(bench.px + motion)
@@ -337,7 +352,7 @@ class Search:
             reached = np.linalg.norm(a, axis=-1)
             parallax, off = reached * w, (a * b).sum(-1) / reached - reached * w
             across = np.abs(a[:, 0] * b[:, 1] - a[:, 1] * b[:, 0]) / reached
-        use = bench.solid & np.isfinite(off) & (w > 0)
+        use = use & np.isfinite(off) & (w > 0)
         if use.sum() < _RANGES * _FEWEST:
             return False
         parallax, off, across, w = parallax[use], off[use], across[use], w[use]
@@ -364,7 +379,7 @@ class Search:
         if lacking := self._without_camera(given):
             return lacking
         if given.fits and given.agreement >= _GOOD:
-            return Outcome([], GIVEN, given, given)
+            return self._of_color(given)
         rivals = self._better(given, map(self.verdict, self._other_frames()))
         if not given.fits or given.agreement < _RATHER_GOOD:
             rivals += self._better(given, map(self.verdict, self._candidates()))
@@ -381,6 +396,15 @@ class Search:
             return Outcome(best.reading.findings(self.stored), best.reading, given, best)
         causes = tuple(_words(one.reading.findings(self.stored)) for one in (best, *others))
         return Outcome([Ambiguous(given.median, causes)], GIVEN, given, given)
+
+    def _of_color(self, given: Verdict) -> Outcome:
+        """Return the outcome for vectors that fit cameras: both may have the jitter, and color none."""
+        if self._jittered:
+            reading = Reading(Motion(other_jitter=True), cameras=Cameras(jitter="geometry_jitter"))
+            read = self.verdict(reading)
+            if read.fits and read.color > given.color + _WORSE_COLORS:
+                return Outcome(reading.findings(self.stored), reading, given, read)
+        return Outcome([], GIVEN, given, given)
 
     def _better(self, given: Verdict, verdicts: Iterable[Verdict]) -> list[Verdict]:
         """Return those of `verdicts` that fit, clearly better than `given`, in most frames, and with no worse
@@ -427,7 +451,7 @@ class Search:
         for rows in ("down", "up"):
             bench = self.bench(rows, thin=True)
             for one in cameras(bench.looks[0]):
-                for motion in motions():
+                for motion in motions(self._jittered):
                     plain = Reading(motion, cameras=one, rows=rows)
                     if rows == "down" or plain.changes <= _MOST_WITH_ROWS:
                         pairs.append((self._across(bench, motion, one), plain))
@@ -482,7 +506,8 @@ class Search:
                     continue
                 bench = self.bench(offset=(buffer, by))
                 plain = Reading(offset=(buffer, by))
-                made = [replace(plain, motion=one) for one in motions() if replace(plain, motion=one).changes <= 2]
+                made = [replace(plain, motion=one) for one in motions(False)]
+                made = [one for one in made if one.changes <= 2]
                 scores = []
                 for one in made:
                     vectors = bench.motion(one.motion)
@@ -543,7 +568,7 @@ class Search:
         moved = bench.color_scores(static, PREVIOUS)
         use = seen & np.isfinite(still) & np.isfinite(moved) & (length <= _MOVER * max(largest, _VISIBLE))
         if not use.any() or np.mean(moved[use]) < np.mean(still[use]) + _GAIN:
-            return unknown
+            return None if given.fits else unknown
         movers = solid & (length > _MOVER * largest) if largest else np.zeros(len(length), bool)
         scores = [bench.color_scores(one, PREVIOUS) for one in (motion, motion + static)]
         movers &= np.isfinite(scores[0]) & np.isfinite(scores[1])
@@ -569,7 +594,7 @@ class Search:
         far = known & (w <= np.quantile(w[known], 1 - _FAR)) if known.any() else known
         if far.any() and abs(y[far].mean()) > _ABOVE:
             evidence -= 0.5 * np.sign(y[far].mean())
-        turns = [reading.cameras.read(look.camera).world_to_view[:3, :3] for look in bench.looks]
+        turns = [reading.cameras.read(look.camera, look.jitter).world_to_view[:3, :3] for look in bench.looks]
         up = -np.mean([m[1] for m in turns], 0)
         axis, handed = 1 + int(np.abs(up[1:]).argmax()), float(np.sign(np.linalg.det(turns[0])))
         if abs(up[axis]) > _FAR and handed == np.sign(up[axis]):

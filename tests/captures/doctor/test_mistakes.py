@@ -2,6 +2,7 @@
 
 import functools
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -12,10 +13,13 @@ from parameters import few
 
 import gffe_cl
 from gffe_cl.captures.doctor import FoundFormat, examine, with_format
-from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.captures.scenes import SITUATIONS, SceneFrames, SceneRenderer, load_scene
 from gffe_cl.captures.scenes.renderer import EncodedFrames
-from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.captures.sequence import SequenceWriter, named_channels, open_sequence
+from gffe_cl.captures.sequence.description import rendered_entry
 from gffe_cl.captures.sequence.encoding import Encoding
+from gffe_cl.engine.frame.frame_format import FrameFormat
+from gffe_cl.engine.frame.window import Jitter
 from gffe_cl.engine.opencl.device import open_device
 
 SCENES = ["corridor", "forest", "plaza"]
@@ -129,3 +133,53 @@ def test_sound_sequences_have_no_fault(scene, code):
     assert said is None or ("motion: motion_dilated=True" in said and code == "game")
     if code == "exact":
         assert examine(Kept(frames, loaded.exposure), loaded.exposure).findings == []
+
+
+@pytest.mark.parametrize("name", few(list(SITUATIONS), "wipers"))
+@pytest.mark.parametrize("seed", [0, 1])
+def test_situations_have_no_fault(name, seed):
+    """Among them a cab that fills half the picture and travels with the camera."""
+    scene = load_scene(name, seed)
+    frames = list(SceneFrames(SceneRenderer(open_device(), scene, 240, 136)).sequence(COUNT, FPS))
+    found = examine(Kept(frames, scene.exposure), scene.exposure)
+    assert [one.name for one in found.findings] in ([], ["still-camera"])
+    assert found.given.fits
+
+
+CAMERA = {"jitter": "geometry_jitter"}
+# By name: whether color is jittered, cameras are, the declared format takes jitter out of vectors, and their sign; what
+# is found. Vectors and geometry have the jitter, which each frame says.
+JITTERED = {
+    "taken out": ((True, True, True, 1), {}, {}),
+    "taken out of negated vectors": ((True, True, True, -1), {"motion_direction": "from_previous"}, {}),
+    "in cameras": ((False, True, True, 1), {"motion_jittered": True}, CAMERA),
+    "in cameras and vectors": ((False, True, False, 1), {"motion_jittered": True}, CAMERA),
+    "in vectors": ((False, False, False, 1), {"motion_jittered": True}, {}),
+}
+
+
+@functools.cache
+def jittered(scene):
+    loaded = load_scene(scene, 5)
+    source = SceneFrames(SceneRenderer(open_device(), loaded, *SIZE, samples=1), jitter=Jitter(8))
+    return list(source.sequence(COUNT, FPS))
+
+
+@pytest.mark.parametrize(("scene", "name"), spread(JITTERED, JITTERED))
+def test_jitter_in_cameras_and_vectors_is_written_as_it_was_diagnosed(gffe, scene, name, tmp_path):
+    (frames, exposure), (case, fields, keys) = good(scene), JITTERED[name]
+    of_color, of_cameras, is_declared, sign = case
+    bad, found, made = tmp_path / "bad", tmp_path / "found.json", tmp_path / "made"
+    with SequenceWriter(bad, *SIZE, FPS, exposure, format=FrameFormat(motion_jittered=is_declared)) as writer:
+        for k, (plain, f) in enumerate(zip(frames, jittered(scene), strict=True)):
+            shift = f.camera.cx - SIZE[0] / 2, f.camera.cy - SIZE[1] / 2
+            color, camera = (f if of_color else plain).color, (f if of_cameras else plain).camera
+            frame = replace(f, color=color, camera=camera, motion=sign * f.motion, geometry_jitter=shift)
+            writer.add(rendered_entry(k, frame, SIZE), named_channels(frame.color, frame.depth, frame.motion))
+    assert gffe("check", bad, "--format-out", found, "--json", tmp_path / "bad.json")[0] == 1
+    expected = {"frame_format": fields} | ({"cameras": keys} if keys else {})
+    assert json.loads(found.read_text()) == expected
+    assert gffe("import", bad, made, "--format", found)[0] == 0
+    assert gffe("check", made, "--json", tmp_path / "made.json")[0] == 0
+    diagnosed, written = (json.loads((tmp_path / one).read_text())["residuals"] for one in ("bad.json", "made.json"))
+    assert written["given"] == pytest.approx(diagnosed["read"], abs=1e-5)
