@@ -168,7 +168,8 @@ def evaluate(
     words = tuple(methods.split(",")) if methods else None
     network = (str(scn_model) if scn_model else None, scn_provider)
     output = _folder(output)
-    require_output_file(output / "results.json", "--out", overwrite)
+    for name in ("results.json", "results.csv"):
+        require_output_file(output / name, "--out", overwrite)
     with progress_bars() as bars:
         order = TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network)
         filled = fill(order, output / "cells", device, partial(steps(bars), "Measuring"))

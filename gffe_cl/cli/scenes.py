@@ -12,6 +12,7 @@ from gffe_cl.cli.common import (
     CompressionOption,
     DeviceOption,
     EncodeOption,
+    OverwriteOption,
     WindowOption,
     app,
     counted,
@@ -24,6 +25,7 @@ from gffe_cl.cli.common import (
     takes_options,
 )
 from gffe_cl.engine.core.errors import GffeError, require_packages
+from gffe_cl.engine.core.files import require_output_file
 
 if TYPE_CHECKING:
     from gffe_cl.engine.options import Options
@@ -116,6 +118,7 @@ def demo(
     seed: Annotated[int, typer.Option(help="Random seed of the scene's variation.")] = 0,
     window: WindowOption = "off",
     device: DeviceOption = None,
+    overwrite: OverwriteOption = False,
     *,
     options: Options,
 ) -> None:
@@ -129,6 +132,8 @@ def demo(
     width, height = parse_size(size)
     if min(width, height) < 32 or max(width, height) > 4096:
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
+    for name in ("contact_sheet.png", "side_by_side.mp4", "metrics.json") if output.is_dir() else ():
+        require_output_file(output / name, "--output", overwrite, media=name != "metrics.json")
     opened = open_device(device, profiling=True)
     out.print(plain(f"Device: {opened.info.name} ({opened.info.platform})"))
     with progress_bars() as progress:

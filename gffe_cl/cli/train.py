@@ -94,7 +94,10 @@ def train(
         seed, steps, batch, learning_rate, final_learning_rate, shading, blend_weight, full_every, bfloat16, integers
     )
     data = data or folder / "data"
-    begun = clips_of_run(folder)
+    begun = None if overwrite else clips_of_run(folder)
+    for path in [folder / name for name in _MADE] if begun is None and not overwrite else ():
+        if path.exists():
+            raise GffeError(f"{path}: is there without a checkpoint (expected another folder, or --overwrite)")
     if begun is not None and clips < begun:
         raise GffeError(f"--clips {clips}: {folder} was started with {begun} (expected at least as many)")
     wanted = begun or clips
@@ -107,7 +110,7 @@ def train(
         on_clip = lambda made: bars.advance(task)  # noqa: E731
         make_clips(data, open_device(device), seed, wanted, on_clip, clips_until, _LEAST_CLIPS)
         count = len(finished_clips(data, seed, wanted))
-        training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start)
+        training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start, anew=overwrite)
         bars.reset(task, description="steps", total=steps, completed=training.step)
         steps_until = None if limit is None else max(started + limit, time.monotonic() + limit / 3)
         done = training.run(steps_until, lambda step: bars.update(task, completed=step))
@@ -115,6 +118,7 @@ def train(
 
 
 _LEAST_CLIPS = 2  # to train on and to validate with
+_MADE = ("scn.onnx", "scn-int8.onnx", "scn-int8.npz")  # at the end of a training
 
 
 def _export(training, folder: Path, data: Path, clips: int, done: bool, torch_version: str, json_path) -> None:

@@ -2,6 +2,9 @@
 
 import json
 import shutil
+import subprocess
+import sys
+import time
 
 import pytest
 import tiny_sequence
@@ -51,6 +54,24 @@ def test_the_same_command_continues_an_interrupted_run(gffe, source, tmp_path, m
         assert (files(tmp_path / "out") == files(tmp_path / "whole")) == (more != ("--no-motion",))
         assert not (tmp_path / "out.part").exists()
         shutil.rmtree(tmp_path / "out")
+
+
+def test_a_killed_run_continues(gffe, tmp_path):
+    """With the bits of a run at one go. Finished frames are noted after each one here, not every ten seconds."""
+    source = tiny_sequence.write(tmp_path / "in", frames=40)
+    part, words = tmp_path / "out.part", ("-n", "7", *QUICK)
+    assert gffe("run", source, tmp_path / "whole", *words)[0] == 0
+    code = "from gffe_cl.captures.sequence import writer; writer._NOTED_EVERY = 0; from gffe_cl.cli import main; main()"
+    child = subprocess.Popen([sys.executable, "-c", code, "run", source, tmp_path / "out", *words])
+    deadline = time.monotonic() + 120
+    while len(list(part.glob("extrapolated_*.exr"))) < 20 and time.monotonic() < deadline:
+        time.sleep(0.005)
+    child.kill()
+    assert child.wait() == -9 and not (tmp_path / "out").exists()
+    kept = len(list(part.glob("extrapolated_*.exr")))
+    code, text, _ = gffe("run", source, tmp_path / "out", *words)
+    assert code == 0 and "frames of an interrupted run taken up" in text and 20 <= kept < 280
+    assert files(tmp_path / "out") == files(tmp_path / "whole") and not part.exists()
 
 
 def test_changed_input_begins_anew(gffe, source, tmp_path, monkeypatch):
@@ -127,3 +148,21 @@ def test_reports_replace_only_reports(gffe, tmp_path):
         assert gffe("formats", "--json", report, *more)[0] == code
         assert (report.read_text() == before) == (code == 2)
     assert list(tmp_path.iterdir()) == [report]
+
+
+@pytest.mark.parametrize(
+    ("needs", "words", "name", "told"),
+    [
+        ("skimage", ("demo", "-o"), "metrics.json", "is a file that gffe-cl did not write (expected another file, or"),
+        ("skimage", ("demo", "-o"), "contact_sheet.png", "is a file of another kind (expected another file, or"),
+        ("skimage", ("eval", "plaza", "--out"), "results.csv", "is a file that gffe-cl did not write (expected"),
+        ("torch", ("train",), "scn.onnx", "is there without a checkpoint (expected another folder, or --overwrite)"),
+        ("torch", ("train",), "checkpoint.pt", "not a checkpoint of this program"),
+    ],
+)
+def test_files_of_others_in_a_folder_of_results(gffe, tmp_path, needs, words, name, told):
+    pytest.importorskip(needs)
+    (tmp_path / name).write_text("mine")
+    code, _, err = gffe(*words, tmp_path)
+    assert code == 2 and told in err and len(err.splitlines()) == 1
+    assert {path.name: path.read_text() for path in tmp_path.iterdir()} == {name: "mine"}

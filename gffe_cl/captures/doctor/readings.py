@@ -14,8 +14,10 @@ import numpy as np
 
 from gffe_cl.captures.doctor.findings import CameraKey, Finding, FormatChange, MotionToNext, OtherFrame, short
 from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Look
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.conventions import DIRECTIONS
+from gffe_cl.engine.frame.frame_format import FrameFormat
 
 VIEW_AXES = {"gffe": (1, 1, 1), "opengl": (1, -1, -1), "direct3d": (1, -1, 1)}  # x right, y down, z forward: 1
 _INFINITE = 5e-4  # near / far: below that far is indistinguishable from infinity
@@ -133,9 +135,14 @@ class Depth:
         return np.where(np.isinf(stored), 0.0, w)
 
     def is_possible(self, stored: np.ndarray) -> bool:
-        """Return whether a buffer by this law can hold such values: from −1 or 0 to 1, or logarithms of 1 + z."""
+        """Return whether a buffer by this law can hold such values: from −1 or 0 to 1, or logarithms of 1 + z; and
+        whether a format can have its parameters."""
         if self.law.terms == 1:
             return True
+        try:
+            FrameFormat(**self.findings(stored)[0].fields)
+        except GffeError:
+            return False
         if np.nanmin(stored) > -1 - _SIGNED and np.nanmax(stored) < 1 + _SIGNED:
             return True
         return bool(self.law.added) and abs(self.coefficients[0]) < _SIGNED * abs(self.coefficients[1])
@@ -259,8 +266,8 @@ class Reading:
         them, count little more than one, and so do vectors to the next frame."""
         m, given = self.motion, GIVEN.motion
         turns = [0, 1, _LITTLE_MORE][(m.direction != given.direction) + (m.y != given.y)]
-        parts = [turns, m.unit != "pixels", m.scale != 1, m.other_jitter, m.camera != "included", _LITTLE_MORE * m.to_next]
-        parts += [self.rows != "down", self.offset[1] != 0]
+        parts = [turns, m.unit != "pixels", m.scale != 1, m.camera != "included", _LITTLE_MORE * m.to_next]
+        parts += [m.other_jitter, self.rows != "down", self.offset[1] != 0]
         depth = 0 if self.depth == GIVEN.depth else 2 if self.depth.law.added is not None else 1
         return sum(parts) + len(self.cameras.keys()) + depth
 

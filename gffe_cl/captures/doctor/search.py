@@ -218,7 +218,7 @@ _RANGES, _FEWEST, _OFF, _MOST_OFF = (
 _STRICT = (0.2, 0.04)  # times these errors, of laws that are fitted, and of logarithms, which describe many roughly
 _EXACT = 0.01, 0.02  # of the motion by depth, and pixels: usual error of a law that is fitted
 _ALONG = 0.5  # of the error along epipolar lines: most error across them where depth is wrong
-_HALF, _OTHER_HALF = 0.2, 0.55  # share of samples that agree in one half of the picture, and in the other one
+_HALVES = ((0.2, 0.55), (0.5, 0.95))  # share of samples that agree in one half of the picture, and in the other one
 _MOST_WITH_ROWS = 2  # changes, if rows are one of them: a mirror image always fits as well
 _JITTER, _MOST_JITTER, _ALTERNATES = 0.08, 1.6, 0.8  # pixels; and of the mean offset of a frame: of all together
 _VISIBLE, _SEEN, _NOTHING, _MOVER = 0.3, 0.2, 2e-3, 0.05  # pixels; share; of the longest vectors
@@ -603,7 +603,7 @@ class Search:
 
 
 def _half(bench: Bench, agrees: np.ndarray, use: np.ndarray) -> str:
-    """Return where in the picture no sample agrees in any frame, if that is a half and most others do; else ""."""
+    """Return the half of the picture in which few samples agree in any frame, while most others do; else ""."""
     sizes = np.array([look.size for look in bench.looks])[bench.frame]
     for axis, names in enumerate((("left", "right"), ("upper", "lower"))):
         first = bench.px[:, axis] < sizes[:, axis] / 2
@@ -613,7 +613,8 @@ def _half(bench: Bench, agrees: np.ndarray, use: np.ndarray) -> str:
                 for part in bench.parts(use)
                 if min((part & inside).sum(), (part & ~inside).sum()) >= _FEWEST
             ]
-            if parts and all(one.mean() < _HALF and other.mean() > _OTHER_HALF for one, other in parts):
+            shares = [(one.mean(), other.mean()) for one, other in parts]
+            if parts and any(all(a < most and b > least for a, b in shares) for most, least in _HALVES):
                 return f" in the {name} half of the picture"
     return ""
 

@@ -33,7 +33,10 @@ _MEDIA = {  # first bytes of pictures and videos: where, and which
     ".mp4": (4, b"ftyp"),
     ".mkv": (0, b"\x1aE\xdf\xa3"),
 }
-_OWN = re.compile(rb'"(generator": "gffe-cl|frame_format":)')  # in JSON that this program writes
+# In JSON that this program writes, and at the start of the metrics of `gffe demo` and the tables of `gffe eval`
+_OWN = re.compile(
+    rb'"(generator": "gffe-cl|frame_format":)|\A(\{\n "repeat": \{|sequence,method,region,metric,value\n)'
+)
 _MOST_SMALL, _MOST_PER_PIXEL, _MOST = 64 << 20, 512, 4 << 30  # bytes that an image may decode to
 _anywhere = False  # of this process
 _anywhere_here: ContextVar[bool | None] = ContextVar("follow_links", default=None)  # of one call

@@ -265,8 +265,8 @@ def weights(recipe: Recipe) -> dict[str, float]:
 
 
 class Training:
-    """One run in `folder` on the crops of `clips` clips. It continues from its checkpoint if there is one, and else
-    starts with the weights of the network `start`, if given.
+    """One run in `folder` on the crops of `clips` clips. It continues from its checkpoint if there is one, unless it is
+    to begin `anew`, and else starts with the weights of the network `start`, if given.
 
     Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
@@ -279,6 +279,7 @@ class Training:
         vgg: Path | None = None,
         clips: int = 0,
         start: Path | None = None,
+        anew: bool = False,
     ):
         self.folder, self.recipe = Path(folder), recipe
         validation, train = split_crops(crops, recipe.seed)
@@ -306,7 +307,8 @@ class Training:
             "perceptual loss": self.perceptual.name,
             "start": hashlib.sha256(start.read_bytes()).hexdigest()[:12] if start else "nothing",
         }
-        self._load()
+        if not anew:
+            self._load()
 
     def run(self, until: float | None = None, on_step: Callable[[int], None] = lambda step: None) -> bool:
         """Train until all steps are done, or `time.monotonic()` passes `until`, but a step at least, and return whether
