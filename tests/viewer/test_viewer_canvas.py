@@ -474,11 +474,6 @@ def test_numbers_are_those_of_the_half_or_of_the_map(canvas):
     assert numbers_of(replace(view, compare="difference"), contents_of(canvas, images), None) == []
 
 
-def test_flip_shows_a(canvas, pair):
-    view, _, b = pair
-    close(drawn(canvas, replace(view, compare="flip", a="b"), (24, 18)), b)
-
-
 # ---- overlays ------------------------------------------------------------------------------------------
 
 

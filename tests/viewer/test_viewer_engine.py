@@ -183,21 +183,8 @@ def test_buffers_as_an_engine_has_them(device, tmp_path):
         result.images["rendered.undone"][8:-8, 8:-8], np.full((H - 16, W - 16, 2), (1.0, 0)), atol=1e-3
     )
     assert generated.images["upload.small_motion"].shape == (H // 2, W // 2, 2)
-    assert not {"upload.small_depth", "rendered.undone"} & plain_layers(device)
-
-
-def plain_layers(device):
     with running(device, Clip()) as engine:
-        return ask(engine, 6, Setup(n=1)).specs.keys()
-
-
-def network_places(x, y):
-    """Texels of the network's grids over a pixel."""
-    return {f"network{level or ''}": (x // (2 << level), y // (2 << level)) for level in range(5)}
-
-
-def is_mover(images):
-    return images["correction.focus_mask"] > 0
+        assert not {"upload.small_depth", "rendered.undone"} & ask(engine, 6, Setup(n=1)).specs.keys()
 
 
 @pytest.mark.parametrize("exposure", [1.0, 0.2])
@@ -258,18 +245,14 @@ def test_the_most_urgent_want_is_made_first_whatever_was_asked_before(device, sl
         assert store.next() is None and store.get(urgent) is made, "nothing is made twice"
         ask(engine, 0, Setup())
         assert ask(engine, slot, Setup()).moment == made.moment
-
-
-def test_a_want_that_is_gone_is_given_up(device):
-    with running(device, source := Clip()) as engine:
-        gone = want(engine, 16, Setup())
+        source.asked.clear()
         source.gate.clear()
-        engine.store.want([gone])
+        gone = want(engine, 16, Setup())
+        store.want([gone])
         wait_for(lambda: source.asked)
-        engine.store.want([])
+        store.want([])
         source.gate.set()
-        assert isinstance(ask(engine, 2, Setup()), Frame)
-        assert source.asked in ([0, 1], [0, 0, 1]) and engine.store.get(gone) is None
+        assert isinstance(ask(engine, 2, Setup()), Frame) and store.get(gone) is None, "it is given up"
 
 
 def test_a_maker_that_was_interrupted_holds_nothing(device):
@@ -302,7 +285,8 @@ SOURCE_GRIDS = ("source", "source_blocks", "cells", "level0", "level1", "level2"
 
 def texels_under(x, y, sx, sy):
     """The texel of each grid under display pixel (x, y), and under pixel (sx, sy) of the rendered image."""
-    places = {"target": (x, y), "source": (sx, sy), "downsampled": (x // 32, y // 32), **network_places(x, y)}
+    places = {"target": (x, y), "source": (sx, sy), "downsampled": (x // 32, y // 32)}
+    places |= {f"network{level or ''}": (x // (2 << level), y // (2 << level)) for level in range(5)}
     places |= {f"level{level}": (sx >> level, sy >> level) for level in range(3)}
     return places | {
         "target_blocks": (x // 8, y // 4),
@@ -395,11 +379,6 @@ def test_close_while_work_runs(device):
 # ---- kernels ----------------------------------------------------------------------------------------------
 
 
-def reload_kernels(engine):
-    engine.reload_kernels()
-    wait_for(lambda: not engine.busy)
-
-
 def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeypatch):
     """A broken kernel: the last good ones go on, whatever is switched; repaired, the new text is in use."""
     folder = tmp_path / "kernels"
@@ -423,7 +402,8 @@ def test_kernels_are_reloaded_and_broken_ones_survived(device, tmp_path, monkeyp
         changed = result.images["final"] != good
         assert changed.any() and not changed.all()
         (folder / "holes.cl").write_text(text)
-        reload_kernels(engine)
+        engine.reload_kernels()
+        wait_for(lambda: not engine.busy)
         assert (ask(engine, 13, setup, ("final",)).images["final"] == good).all()
     warp = (folder / "warp.cl").read_text()
     (folder / "warp.cl").write_text("nonsense\n")  # from the start
@@ -620,25 +600,32 @@ def test_the_interface_keeps_a_core(device):
 
 
 def stories(engine, setup, slot, mask_of, most=12):
-    """The stories of about `most` pixels of the slot where `mask_of(images)` holds."""
+    """The stories of about `most` pixels of the slot where `mask_of(images)` holds, or that were filled by that."""
     images = ask(engine, slot, setup, "all").images
-    found = np.argwhere(mask_of(images))
+    found = np.argwhere(mask_of(images) if callable(mask_of) else images["frame.filled_by"] == mask_of)
     assert len(found), "no such pixel"
-    told = []
-    for y, x in found[:: max(1, len(found) // most)]:
-        told.append(inspect(engine, x, y, slot, setup).story)
-    return told
+    return [inspect(engine, x, y, slot, setup).story for y, x in found[:: max(1, len(found) // most)]]
 
 
-def test_stories_of_upscaling(device):
-    """Of a rendered frame: what is behind it; of generated ones: what they are seen through."""
-    setup = Setup(Options(upscale=1), n=1)
+UPSCALED, UNFILLED = Setup(Options(upscale=1)), Setup(Options(hole_filling="none", levels=0))
+SAID = {  # of what kind of pixels which sentence says it
+    "gathered over time": (UPSCALED, 8, lambda i: i["upscaling.rejected"] == 0, 0),
+    "0% of the history": (UPSCALED, 8, lambda i: i["upscaling.rejected"] == 0, 0),
+    "seen through the history": (UPSCALED, 9, lambda i: i["frame.disoccluded"] == 0, -1),
+    "no history here": (UPSCALED, 9, lambda i: i["frame.disoccluded"] == 1, -1),
+    "Crack closing": (Setup(), 13, 254, 0),
+    "Soft silhouettes": (Setup(), 13, lambda i: i["silhouettes.coverage"] > 0, -1),
+    "No frame before": (Setup(), 0, lambda i: i["rendered.depth"] < 9, 1),
+    "far side": (Setup(), 13, 255, 1),
+    "Hole filling is off": (UNFILLED, 13, 253, 1),
+    "no background": (UNFILLED, 13, 253, 0),
+}
+
+
+def test_stories_say_what_was_done(device):
     with running(device, Clip()) as engine:
-        for story in stories(engine, setup, 8, lambda i: i["upscaling.rejected"] < 10, most=2):
-            assert "gathered over time" in story.sentences[0] and "0% of the history" in story.sentences[0]
-        for hole, said in ((0, "seen through the history"), (1, "no history here")):
-            for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
-                assert said in story.sentences[-1]
+        for said, (setup, slot, pixels, place) in SAID.items():
+            assert all(said in story.sentences[place] for story in stories(engine, setup, slot, pixels, 6)), said
 
 
 def surface_at(at, pixel):
@@ -730,18 +717,14 @@ def test_stories_of_acceleration(device):
 
 def test_stories_of_cracks_rendered_frames_and_no_motion(device):
     with running(device, Clip()) as engine:
-        for story in stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 254):
-            assert "Crack closing" in story.sentences[0] and len(story.trajectory) >= 2
+        for story in stories(engine, Setup(), 13, 254):
+            assert len(story.trajectory) >= 2
             assert np.linalg.norm(np.subtract(story.trajectory[-1], story.pixel) - 0.5) < 2
-        for story in stories(engine, Setup(), 13, lambda i: i["silhouettes.coverage"] > 0):
-            assert "Soft silhouettes" in story.sentences[-1]
-        still = stories(engine, Setup(Options(motion=False)), 13, lambda i: i["frame.filled_by"] == 0)
+        still = stories(engine, Setup(Options(motion=False)), 13, 0)
         assert all(s.residual is None and ("off" in s.sentences[1] or "Sky" in s.sentences[1]) for s in still)
         for story in stories(engine, Setup(), 12, lambda i: i["history.dynamic_mask"] == 1):
             assert story.filled_by == "rendered frame" and story.dynamic
             np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5))
-        first = stories(engine, Setup(), 0, lambda i: i["rendered.depth"] < 9)
-        assert all("No frame before" in story.sentences[1] for story in first)
 
 
 def test_stories_of_holes_and_of_the_background(device):
@@ -758,13 +741,9 @@ def test_stories_of_holes_and_of_the_background(device):
                 right += np.abs(expected - story.level_px).max() < 2.5
             np.testing.assert_allclose(story.trajectory[0], story.level_px, atol=1e-4)
         assert right > len(behind) / 2
-        holes = stories(engine, setup, 13, lambda i: i["frame.filled_by"] == 255)
-        assert all("far side" in s.sentences[1] and s.filled_by == "hole filling" for s in holes)
+        holes = stories(engine, setup, 13, 255)
+        assert all(s.filled_by == "hole filling" for s in holes)
         assert any("outside the rendered image" in s.sentences[-1] for s in holes)
-        empty = stories(
-            engine, Setup(Options(hole_filling="none", levels=0)), 13, lambda i: i["frame.filled_by"] == 253
-        )
-        assert all("Hole filling is off" in s.sentences[1] and "no background" in s.sentences[0] for s in empty)
 
 
 @pytest.mark.parametrize("scene", ["", "barred"])
@@ -774,7 +753,7 @@ def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene
     setup, checked, past = Setup(Options(levels=0)), 0, 0
     with running(device, SceneClip(scene)) as engine:
         images = ask(engine, 13, setup, ("frame.depth", "frame.dynamic", "final")).images
-        for story in stories(engine, setup, 13, lambda i: i["frame.filled_by"] == 255, 30):
+        for story in stories(engine, setup, 13, 255, 30):
             (taken,) = (step for step in story.sentences if "The result is (" in step)
             color = images["final"][story.pixel[1], story.pixel[0], :3]
             assert f"The result is ({', '.join(f'{float(c):.3g}' for c in color)})." in taken
@@ -803,11 +782,11 @@ def test_stories_of_holes_tell_what_was_taken_and_what_was_refused(device, scene
 def test_stories_of_hidden_parts(device):
     """They tell of the bar that hid the mover."""
     with running(device, SceneClip("barred")) as engine:
-        told = stories(engine, Setup(), 13, lambda i: i["frame.filled_by"] == 250)
+        told = stories(engine, Setup(), 13, 250)
         assert all(s.filled_by == "hidden part of a mover" and "with its motion" in s.sentences[0] for s in told)
         bars = [float(s.sentences[1].split("shows depth ")[1].split(" ")[0]) for s in told]
         assert max(bars) < 6 and all("depth here is" in s.sentences[1] for s in told)
-        left = stories(engine, Setup(Options(levels=0)), 9, lambda i: i["frame.filled_by"] == 255, 60)
+        left = stories(engine, Setup(Options(levels=0)), 9, 255, 60)
         assert any("But the frame before shows depth 1" in said for s in left for said in s.sentences)
 
 
@@ -816,7 +795,7 @@ def test_stories_of_movers_that_enter(device):
     with running(device, SceneClip("entering")) as engine:
         color = ask(engine, 5, Setup(), ("frame.color",)).images["frame.color"]
         rendered = ask(engine, 5, Setup(), ("rendered.color",)).images["rendered.color"]
-        for story in stories(engine, Setup(), 5, lambda i: i["frame.filled_by"] == 250):
+        for story in stories(engine, Setup(), 5, 250):
             (x, y), (px, py) = story.pixel, story.sentences[0].links[1].pixel
             assert px == 0 and "outside of rendered frame" in story.sentences[1]
             assert (color[y, x] == rendered[py, px]).all()
@@ -825,7 +804,7 @@ def test_stories_of_movers_that_enter(device):
 def test_stories_of_parts_that_reappear(device):
     """Soft silhouettes are not named as the only cause."""
     with running(device, SceneClip("barred")) as engine:
-        for story in stories(engine, Setup(n=3), 31, lambda i: i["frame.filled_by"] == 252):
+        for story in stories(engine, Setup(n=3), 31, 252):
             assert "A part of a mover that comes out" in story.sentences[0]
             for sentence in (sentence for sentence in story.sentences if "Soft silhouettes" in sentence):
                 assert "The rest is what was filled in before: " in sentence
@@ -834,14 +813,14 @@ def test_stories_of_parts_that_reappear(device):
 def test_stories_of_corrected_pixels(device, tmp_path):
     options = Options(scn_model=movers_model(tmp_path / "m.onnx"), image_flow=False)
     with running(device, FadingClip()) as engine:
-        for story in stories(engine, Setup(options), 13, is_mover):
+        for story in stories(engine, Setup(options), 13, lambda i: i["correction.focus_mask"] > 0):
             assert story.corrected and "Shading correction changed it (focus mask " in story.sentences[-1]
         images = ask(engine, 13, Setup(options), "all").images
         y, x = map(int, np.argwhere(images["correction.focus_mask"] == 1)[0])
         colors = (f"({', '.join(f'{c:.4g}' for c in images[n][y, x, :3].astype(float))})" for n in ("gae", "final"))
         expected = f"Shading correction changed it (focus mask 1.00): from {' to '.join(colors)}."
         assert inspect(engine, x, y, 13, Setup(options)).story.sentences[-1] == expected
-        others = stories(engine, Setup(options), 13, lambda i: ~is_mover(i))
+        others = stories(engine, Setup(options), 13, lambda i: i["correction.focus_mask"] == 0)
         assert all(s.corrected is False and "Shading" not in s.sentences[-1] for s in others)
         whole = stories(engine, Setup(replace(options, focus_mask=False)), 13, lambda i: i["rendered.depth"] > 0)
         assert all("which is off" in s.sentences[-1] for s in whole if s.corrected) and any(s.corrected for s in whole)

@@ -75,14 +75,6 @@ def shown(result):
     return [to_display(result.images[name][..., :3], 1.0) for name in (names.FINAL, names.TRUTH)]
 
 
-def test_regions():
-    masks = region_masks(made(), 1.0)
-    assert masks["out of screen"][:, -3:].all() and masks["disoccluded"][:, -6:-3].all()
-    assert masks["silhouettes"][:, WIDTH // 2 - 1 : WIDTH // 2 + 1].all() and masks["dynamic"][:, :5].all()
-    assert (masks["focus"] | masks["rest"])[:, 5 : WIDTH // 2 - 1].all()
-    assert (sum(masks[name].astype(int) for name in REGIONS) == 1).all() and masks["whole"].all()
-
-
 def test_regions_are_those_of_the_table(tmp_path):
     """... of `gffe eval` where it finds them by the pipeline: its two kinds of disocclusions are one here."""
     from gffe_cl.lab.table.footage import FolderSubject, open_subject

@@ -24,48 +24,32 @@ from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.state.captions import value_text
 from gffe_cl.viewer.state.document import Doctor
-from gffe_cl.viewer.state.model import Model
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.saving import LayersWork
-from gffe_cl.viewer.state.settings import Settings
 from gffe_cl.viewer.window import status
 from gffe_cl.viewer.window.inspector import rows_of
 from gffe_cl.viewer.window.windows import stepped
 
 
-@pytest.fixture
-def session(tmp_path):
-    session = Session(tiny_sequence.write(tmp_path / "first"))
-    yield session
-    session.model.close()
-
-
-def test_story_is_told_although_the_mouse_moves_on(session):
+def test_story_is_told_and_follows_the_slot_although_the_mouse_moves_on(session):
+    model, pointing = session.model, session.model.pointing
     with session.engine_waiting():
-        session.model.pointing.pick((3, 4))
-        session.model.pointing.hover((7.5, 5.5))
-    session.until(lambda: session.model.pointing.story is not None)
-    assert session.model.pointing.story.pixel == (3, 4)
-    session.until(
-        lambda: session.model.pointing.inspection is not None and session.model.pointing.inspection.pixel == (7, 5)
-    )
-
-
-def test_story_follows_the_slot_although_the_mouse_moves_on(session):
-    model = session.model
-    model.pointing.pick((3, 4))
+        pointing.pick((3, 4))
+        pointing.hover((7.5, 5.5))
+    session.until(lambda: pointing.story is not None)
+    assert pointing.story.pixel == (3, 4)
+    session.until(lambda: pointing.inspection is not None and pointing.inspection.pixel == (7, 5))
     session.settle()
-    before, before_values, taken = model.pointing.story, model.pointing.pinned, model.contents.changes
+    before, before_values, taken = pointing.story, pointing.pinned, model.contents.changes
     assert model.values == (before_values, False)
     with session.values_waiting():
         model.playback.seek(3)
         session.until(lambda: model.contents.changes > taken)
-        assert not model.settled and model.pointing.story_is_due, "it is still that of the slot before"
+        assert not model.settled and pointing.story_is_due, "it is still that of the slot before"
         assert model.values == (before_values, True)
-    model.pointing.hover((7.5, 5.5))
     session.settle()
-    assert model.pointing.story is not before and model.pointing.story.pixel == (3, 4)
+    assert pointing.story is not before and pointing.story.pixel == (3, 4)
 
 
 def test_values_under_the_pointer_are_those_of_the_picture(session):
@@ -337,12 +321,9 @@ def test_every_option_that_is_remembered_comes_back():
             assert getattr(restored(parameters.preferences()), name) == (kept if option.remembered else usual), name
 
 
-@pytest.mark.parametrize(
-    "damaged", [{"levels": 99}, {"levels": True}, {"order": "2"}, {"hole_filling": 1}, {"motion": 0}]
-)
-def test_a_damaged_option_costs_only_itself(damaged):
-    options = restored({"crack_closing": False} | damaged)
-    assert options == Options(crack_closing=False, **ALWAYS)
+def test_a_damaged_option_costs_only_itself():
+    for damaged in ({"levels": 99}, {"levels": True}, {"order": "2"}, {"hole_filling": 1}, {"motion": 0}):
+        assert restored({"crack_closing": False} | damaged) == Options(crack_closing=False, **ALWAYS)
 
 
 @pytest.mark.parametrize("render_size, factor", [((32, 20), 2.0), ((64, 40), 1.0), ((77, 48), 1.0)])
@@ -399,17 +380,6 @@ def test_numbers_of_the_palette():
             parsed(option, text)
     assert stepped(levels, 4, 1) == 4 and stepped(levels, 0, -1) == 0 and stepped(levels, 2, 1) == 3
     assert stepped(threshold, None, 1) == pytest.approx(1.4) and stepped(threshold, 100.0, 1) == 100.0
-
-
-def test_a_folder_that_cannot_be_opened_is_told(tmp_path):
-    (tmp_path / "empty").mkdir()
-    model = Model(Settings(), save_settings=False)
-    try:
-        model.open(str(tmp_path / "empty"))
-        wait_for(lambda: model.update(time.perf_counter(), None) or model.messages)
-        assert "no sequence.json" in model.document.notice
-    finally:
-        model.close()
 
 
 def test_a_file_of_a_capture_opens_its_folder(session, tmp_path):

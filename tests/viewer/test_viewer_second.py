@@ -7,7 +7,6 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 import tiny_sequence
-from viewer_session import Session
 
 from gffe_cl.captures.offline.run import run_sequence
 from gffe_cl.captures.offline.source import Recorded
@@ -22,13 +21,6 @@ from gffe_cl.viewer.picture.displays import FrameInfo
 from gffe_cl.viewer.state.presets import command_line
 from gffe_cl.viewer.state.studies import difference, modules_of
 from gffe_cl.viewer.window.studies import show_difference
-
-
-@pytest.fixture
-def session(tmp_path):
-    session = Session(tiny_sequence.write(tmp_path / "first"))
-    yield session
-    session.model.close()
 
 
 def kept_and_changed(session):

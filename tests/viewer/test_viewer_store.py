@@ -6,7 +6,6 @@ import time
 import numpy as np
 import pytest
 import tiny_sequence
-from viewer_session import Session
 
 from gffe_cl import Options
 from gffe_cl.engine.core.errors import GffeError
@@ -20,6 +19,7 @@ from gffe_cl.viewer.state.navigation import Flight
 from gffe_cl.viewer.window.timeline import runs
 
 BYTES = 1000
+FRAMES = 4  # of the sequence that is open
 FINAL = frozenset({"final"})
 DEPTH = frozenset({"frame.depth", "none for this frame"})
 
@@ -226,13 +226,6 @@ def test_stretches_of_slots():
 
 
 # ---- in the model -----------------------------------------------------------------------------------------------
-
-
-@pytest.fixture
-def session(tmp_path):
-    session = Session(tiny_sequence.write(tmp_path / "first", frames=4))
-    yield session
-    session.model.close()
 
 
 @pytest.fixture
