@@ -52,6 +52,13 @@ from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.sources.stored import StoredSlots
 
 
+@pytest.fixture
+def engine(device):
+    """An engine on the clip."""
+    with running(device, Clip()) as made:
+        yield made
+
+
 @pytest.mark.parametrize("with_cameras", [True, False])
 def test_every_slot_jumped_to_equals_the_run(device, tmp_path, with_cameras):
     """All layers of 24 frames, in random order, are those that `gffe run` writes; cameras are given or predicted."""
@@ -214,15 +221,14 @@ def test_the_true_focus_mask(device, monkeypatch):
         assert "focus_truth" not in ask(engine, 12, Setup(), "all").images
 
 
-def test_a_network_that_fails_is_an_error_and_the_engine_goes_on(device, tmp_path):
+def test_a_network_that_fails_is_an_error_and_the_engine_goes_on(engine, tmp_path):
     (tmp_path / "junk.onnx").write_bytes(b"junk")
-    with running(device, Clip()) as engine:
-        error = ask(engine, 13, Setup(Options(scn_model=str(tmp_path / "junk.onnx"))))
-        assert isinstance(error, Failure) and error.during == "network" and "junk.onnx" in error.error
-        assert "\n" not in error.error
-        assert isinstance(ask(engine, 13, Setup()), Frame)
-        error = ask(engine, 13, Setup(Options(shading_correction=True)))
-        assert error.during == "network" and "no trained weights" in error.error
+    error = ask(engine, 13, Setup(Options(scn_model=str(tmp_path / "junk.onnx"))))
+    assert isinstance(error, Failure) and error.during == "network" and "junk.onnx" in error.error
+    assert "\n" not in error.error
+    assert isinstance(ask(engine, 13, Setup()), Frame)
+    error = ask(engine, 13, Setup(Options(shading_correction=True)))
+    assert error.during == "network" and "no trained weights" in error.error
 
 
 # ---- requests and answers ----------------------------------------------------------------------------------
@@ -715,35 +721,33 @@ def test_stories_of_acceleration(device):
         assert len(bent) > len(told) / 2 and sum(int(said.split("%")[0]) > 80 for said in bent) > len(bent) / 2
 
 
-def test_stories_of_cracks_rendered_frames_and_no_motion(device):
-    with running(device, Clip()) as engine:
-        for story in stories(engine, Setup(), 13, 254):
-            assert len(story.trajectory) >= 2
-            assert np.linalg.norm(np.subtract(story.trajectory[-1], story.pixel) - 0.5) < 2
-        still = stories(engine, Setup(Options(motion=False)), 13, 0)
-        assert all(s.residual is None and ("off" in s.sentences[1] or "Sky" in s.sentences[1]) for s in still)
-        for story in stories(engine, Setup(), 12, lambda i: i["history.dynamic_mask"] == 1):
-            assert story.filled_by == "rendered frame" and story.dynamic
-            np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5))
+def test_stories_of_cracks_rendered_frames_and_no_motion(engine):
+    for story in stories(engine, Setup(), 13, 254):
+        assert len(story.trajectory) >= 2
+        assert np.linalg.norm(np.subtract(story.trajectory[-1], story.pixel) - 0.5) < 2
+    still = stories(engine, Setup(Options(motion=False)), 13, 0)
+    assert all(s.residual is None and ("off" in s.sentences[1] or "Sky" in s.sentences[1]) for s in still)
+    for story in stories(engine, Setup(), 12, lambda i: i["history.dynamic_mask"] == 1):
+        assert story.filled_by == "rendered frame" and story.dynamic
+        np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5))
 
 
-def test_stories_of_holes_and_of_the_background(device):
+def test_stories_of_holes_and_of_the_background(engine):
     setup, k = Setup(), 6
-    with running(device, Clip()) as engine:
-        behind = stories(engine, setup, 13, lambda i: (i["frame.filled_by"] == 1) & (i["frame.disoccluded"] == 1))
-        right = 0
-        for story in behind:
-            assert story.level == 0 and story.filled_by == "background level 0" and story.dynamic is None
-            assert "hidden now, last at (" in story.sentences[0] and len(story.trajectory) == 2
-            which, local = surface_at(6.5, story.pixel)
-            if which == 0:
-                expected = pose(k).project(local + SCENE.rects[0].at(0))[0]
-                right += np.abs(expected - story.level_px).max() < 2.5
-            np.testing.assert_allclose(story.trajectory[0], story.level_px, atol=1e-4)
-        assert right > len(behind) / 2
-        holes = stories(engine, setup, 13, 255)
-        assert all(s.filled_by == "hole filling" for s in holes)
-        assert any("outside the rendered image" in s.sentences[-1] for s in holes)
+    behind = stories(engine, setup, 13, lambda i: (i["frame.filled_by"] == 1) & (i["frame.disoccluded"] == 1))
+    right = 0
+    for story in behind:
+        assert story.level == 0 and story.filled_by == "background level 0" and story.dynamic is None
+        assert "hidden now, last at (" in story.sentences[0] and len(story.trajectory) == 2
+        which, local = surface_at(6.5, story.pixel)
+        if which == 0:
+            expected = pose(k).project(local + SCENE.rects[0].at(0))[0]
+            right += np.abs(expected - story.level_px).max() < 2.5
+        np.testing.assert_allclose(story.trajectory[0], story.level_px, atol=1e-4)
+    assert right > len(behind) / 2
+    holes = stories(engine, setup, 13, 255)
+    assert all(s.filled_by == "hole filling" for s in holes)
+    assert any("outside the rendered image" in s.sentences[-1] for s in holes)
 
 
 @pytest.mark.parametrize("scene", ["", "barred"])

@@ -1,12 +1,10 @@
 """Layers of the viewer: what there is, ranges, legends, texts, settings. No OpenGL."""
 
 import json
-from dataclasses import replace
+from dataclasses import fields, replace
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from gffe_cl import Camera, Options, Pipeline
 from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
@@ -124,46 +122,22 @@ def test_layers_do_not_depend_on_what_is_kept(device):
     assert not generated & {"final", "rendered.color", "history.history", "connectivity.links", "background.color_0"}
 
 
-@pytest.mark.parametrize(
-    ("name", "channel", "expected"),
-    [
-        ("final", "RGB", ("color", -1)),
-        ("final", "nonsense", ("color", -1)),
-        ("final", "G", ("color", 1)),
-        ("final", "A", ("scalar", 3)),
-        ("shading.warped_previous", "valid", ("scalar", 3)),
-        ("rendered.depth", "", ("depth", 0)),
-        ("rendered.motion", "vector", ("motion", -1)),
-        ("rendered.motion", "y", ("scalar", 1)),
-        ("prediction.target_position", "depth", ("depth", 2)),
-        ("history.history", "known", ("mask", 3)),
-        ("history.history", "z", ("scalar", 2)),
-    ],
-)
-def test_channel_decides_how_it_is_shown(name, channel, expected):
-    assert shown_as(BY_NAME[name], Display(channel=channel)) == expected
+def test_channel_decides_how_it_is_shown():
+    views = {("final", "RGB"): ("color", -1), ("final", "nonsense"): ("color", -1), ("final", "G"): ("color", 1)}
+    views |= {("final", "A"): ("scalar", 3), ("shading.warped_previous", "valid"): ("scalar", 3)}
+    views |= {("rendered.motion", "vector"): ("motion", -1), ("rendered.motion", "y"): ("scalar", 1)}
+    views |= {("rendered.depth", ""): ("depth", 0), ("prediction.target_position", "depth"): ("depth", 2)}
+    views |= {("history.history", "known"): ("mask", 3), ("history.history", "z"): ("scalar", 2)}
+    for (name, channel), expected in views.items():
+        assert shown_as(BY_NAME[name], Display(channel=channel)) == expected, (name, channel)
 
 
-displays = st.builds(
-    Display,
-    exposure=st.floats(-20, 20),
-    tone_map=st.sampled_from(TONE_MAPS),
-    channel=st.sampled_from(["RGB", "A", "vector", ""]),
-    low=st.floats(-1e6, 1e6),
-    high=st.floats(-1e6, 1e6),
-    color_map=st.sampled_from(COLOR_MAPS),
-    inverse=st.booleans(),
-    motion_scale=st.floats(1e-3, 1e4),
-    reverse=st.booleans(),
-    plane=st.integers(0, 3),
-    tint=st.tuples(*[st.floats(0, 1)] * 3),
-)
-
-
-@given(displays)
-@settings(max_examples=50, deadline=None)
-def test_display_survives_json(display):
+def test_display_survives_json():
+    numbers = {"exposure": -1.5, "low": -1e6, "high": 2.5, "motion_scale": 0.1, "plane": 3, "tint": (0.1, 0.2, 1.0)}
+    others = {"tone_map": TONE_MAPS[-1], "channel": "A", "color_map": COLOR_MAPS[-1], "inverse": True, "reverse": True}
+    display = Display(**numbers, **others)
     assert Display.from_dict(json.loads(json.dumps(display.to_dict()))) == display
+    assert all(getattr(display, field.name) != field.default for field in fields(Display))
 
 
 def test_damaged_settings_fall_back():
@@ -279,12 +253,7 @@ def test_color_maps_run_as_they_should():
         assert table.shape == (256, 3) and table.min() >= 0 and table.max() <= 1
         expected = [[byte / 255 for byte in bytes.fromhex(end)] for end in ends[name]]
         np.testing.assert_allclose(table[[0, -1]], expected, atol=0.13)  # the polynomials' error at turbo's ends
-        rises = np.diff(table @ (0.2126, 0.7152, 0.0722))
-        if name == "diverging":
-            assert (rises[:127] <= 1e-6).all() and table[127:129].max() < 0.01
-            rises = rises[128:]
-        if name != "turbo":
-            assert (rises >= -1e-6).all(), name
+    assert color_table("diverging")[127:129].max() < 0.01
     np.testing.assert_allclose(color_table("viridis")[128], (0.128, 0.567, 0.551), atol=0.02)
 
 

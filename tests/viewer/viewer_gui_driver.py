@@ -189,15 +189,6 @@ class Gui:
         self.frames(3)
         self.settle()
 
-    def inside(self, margin: int = 2) -> np.ndarray:
-        """Of the canvas on the screen: what shows the display, without `margin` pixels at its edges."""
-        picture, view, info = self.picture(), self.model.view, self.model.source
-        size = picture.shape[1], picture.shape[0]
-        (x0, y0), (x1, y1) = view.screen_at(size, 0, 0), view.screen_at(size, info.width, info.height)
-        return picture[
-            max(int(y0) + margin, 0) : max(int(y1) - margin, 0), max(int(x0) + margin, 0) : max(int(x1) - margin, 0)
-        ]
-
     def reset(self, slot: int = 13) -> None:
         """The state in which every case starts."""
         model, view = self.model, self.model.view
