@@ -109,11 +109,7 @@ LEDGER = {
     "gffe_cl": 37_853,
     "viewer": 11_998,
     "kernels": 10_185,
-<<<<<<< HEAD
-    "tests": 28_158,
-=======
-    "tests": 28_042,
->>>>>>> 2ab0ca26 (Viewer's tests: a fixture for the engine on the clip, plain tables of displays)
+    "tests": 28_135,
     "docs/tools": 3_588,
     "docs/examples": 1_822,
     "docs/*.md": 4_396,
