@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 37_853,
     "viewer": 11_998,
     "kernels": 10_185,
-    "tests": 28_135,
+    "tests": 28_093,
     "docs/tools": 3_588,
     "docs/examples": 1_822,
     "docs/*.md": 4_396,
