@@ -106,7 +106,7 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 37_853,
+    "gffe_cl": 37_808,
     "viewer": 11_998,
     "kernels": 10_185,
     "tests": 28_093,

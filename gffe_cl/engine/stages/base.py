@@ -286,7 +286,7 @@ class Stage(Owner):
         super().__init__(board.device, board.sizes)
         self.board = board
         self._bit = board.bindings.new_bit()
-        borrowing = [spec for spec in self.buffers if spec.transient or spec.fleeting]
+        borrowing = [spec for spec in self.buffers if spec.transient]
         self.buffer = self.allocate(spec for spec in self.buffers if spec not in borrowing)
         self.before = self.allocate(spec for spec in self.buffers if spec.kept)
         self._kernels = {kernel.name: kernel for kernel in self.kernels}

@@ -279,10 +279,9 @@ class BufferSpec:
     `kept`: the one of the frame before is kept, too. `scratch`: of no interest once the stage is through. `part_of`:
     the buffer in which it lies. `planar`: on the device the channels lie one after another, each an image. `transient`:
     written in each `extrapolate` before it is read, so until the next `submit` it may lie in memory that another stage
-    lends; `fleeting`: the same of each `submit`, and of no use after it. `known_where`: a buffer of the same owner,
-    perhaps on a coarser grid, and the least value that it has where this one holds anything; elsewhere it reads as 0.
-    `packing`: its layout on the device, if not by `dtype` and `components`. `border`: pixels that are stored around
-    each plane. `byte`: what all of its bytes are at first.
+    lends. `known_where`: a buffer of the same owner, perhaps on a coarser grid, and the least value that it has where
+    this one holds anything; elsewhere it reads as 0. `packing`: its layout on the device, if not by `dtype` and
+    `components`. `border`: pixels that are stored around each plane. `byte`: what all of its bytes are at first.
     """
 
     name: str
@@ -299,7 +298,6 @@ class BufferSpec:
     part_of: str = ""
     planar: bool = False
     transient: bool = False
-    fleeting: bool = False
     known_where: tuple[str, int] | None = None
     packing: Packing | None = None
     border: int = 0

@@ -3,12 +3,10 @@ of movers, and the prediction of positions (paper: 'Position estimation')."""
 
 from __future__ import annotations
 
-from collections.abc import Iterable
 from dataclasses import replace
 from typing import Any
 
 import numpy as np
-import pyopencl as cl
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
@@ -267,29 +265,9 @@ class Acceleration(Stage):
         ),
     )
 
-    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """Return new device buffers by name. All are parts of one buffer, so that the history can be lent."""
-        specs = list(specs)
-        made = super().allocate(spec for spec in specs if not spec.part_of)
-        for spec in specs:
-            if spec.part_of:
-                start, nbytes = self.starts[spec.name], spec.nbytes(self.sizes)
-                made[spec.name] = self.board.memory.part(made["memory"], start, nbytes)
-        return made
-
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
         return options.motion and options.acceleration and options.order == 1
-
-    def __init__(self, board: Board):
-        self.starts, nbytes = {}, 0
-        for spec in self.buffers:
-            self.starts[spec.name] = nbytes
-            nbytes += board.sizes.aligned(spec.nbytes(board.sizes))
-        memory = BufferSpec("memory", np.uint8, (), "once", "of all", planes=nbytes, kept=True, scratch=True)
-        self.buffers = (*(replace(spec, part_of="memory") for spec in self.buffers), memory)
-        super().__init__(board)
-        board.memory.lend(self, "memory'", at_once=True)
 
     def rendered(self, step: Step) -> None:
         self.launch("track_acceleration", step)

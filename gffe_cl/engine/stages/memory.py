@@ -6,7 +6,7 @@ import math
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import replace
 from functools import cached_property
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import pyopencl as cl
@@ -16,25 +16,7 @@ from gffe_cl.engine.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.stages.buffers import BufferSpec, Owner, Sizes, grid_of
 
-_EXTRAPOLATE = 1000  # more than there are stages
-
-
-class Worker(Protocol):
-    """A stage, as far as memory is concerned."""
-
-    name: Any
-    kernels: Any
-    buffer: dict[str, cl.Buffer]
-
-    def own(self, name: str) -> cl.Buffer:
-        """Return a buffer of the stage."""
-        ...
-
-    def allocate(self, specs: Iterable[BufferSpec]) -> dict[str, cl.Buffer]:
-        """Return new buffers by name."""
-        ...
-
-
+Worker = Any  # a stage (stages/base.py, which imports this module)
 Lent = tuple[Worker, str]  # a stage, and its name for the memory
 
 
@@ -42,8 +24,8 @@ class LentMemory:
     """Places of borrowed buffers in lent memory. `stages`: all of a pipeline, by name, in the order of their work."""
 
     def __init__(self, sizes: Sizes, stages: Mapping[str, Worker]):
-        self.borrowing: list[tuple[Worker, BufferSpec]] = []  # transient and fleeting buffers of all stages so far
-        self.lent: dict[Lent, int] = {}  # the work (see `_use`) after which memory is free
+        self.borrowing: list[tuple[Worker, BufferSpec]] = []  # transient buffers of all stages so far
+        self.lent: list[Lent] = []
         self._sizes, self._stages = sizes, stages
         self._parts: list[cl.Buffer] = []  # in the order in which they were made
 
@@ -54,9 +36,9 @@ class LentMemory:
         self._parts.append(whole.get_sub_region(start, nbytes))
         return self._parts[-1]
 
-    def lend(self, stage: Worker, name: str, at_once: bool = False) -> None:
-        """Lend the buffer `name` of `stage`, after `submit` or, `at_once`, after its own work there."""
-        self.lent[stage, name] = list(self._stages).index(stage.name) if at_once else _EXTRAPOLATE - 1
+    def lend(self, stage: Worker, name: str) -> None:
+        """Lend the buffer `name` of `stage` while new frames are made."""
+        self.lent.append((stage, name))
 
     def place(self) -> None:
         """Give every borrowed buffer its place in lent memory, or memory of its own if none is lent. Call it once all
@@ -81,8 +63,7 @@ class LentMemory:
         order = sorted(self.borrowing, key=lambda one: (grid_of(one[1].grid).is_list, -one[1].nbytes(self._sizes)))
         for stage, spec in order:
             nbytes, used = spec.nbytes(self._sizes), self.use(stage, spec)
-            free = {lent: parts for lent, parts in taken.items() if self.lent[lent] < min(used)}
-            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in free.items()}
+            starts = {lent: _free_start(parts, nbytes, used) for lent, parts in taken.items()}
             fitting = (lent for lent, start in starts.items() if start + nbytes <= lent[0].own(lent[1]).size)
             lent = next(fitting, None)
             places[stage.name, spec.name] = lent and (lent, starts[lent])
@@ -91,16 +72,14 @@ class LentMemory:
         return places
 
     def use(self, stage: Worker, spec: BufferSpec) -> frozenset[int]:
-        """Return the numbers of the work during which a buffer is in use: of the stages on the rendered frame, and then
-        on the new one. It ends with the last stage that names the buffer, or with all if it is of interest afterwards.
-        """
+        """Return the numbers of the stages during whose work on a new frame a buffer is in use. The last is the last
+        stage that names the buffer, or the last of all if it is of interest afterwards."""
         name, used = f"{stage.name}.{spec.name}", []
         for number, other in enumerate(self._stages.values()):
             names_it = any(name in kernel.buffers.values() for kernel in other.kernels)
             if names_it or other is stage or (used and not spec.scratch):
                 used.append(number)
-        start = 0 if spec.fleeting else _EXTRAPOLATE
-        return frozenset(range(start + used[0], start + used[-1] + 1))
+        return frozenset(range(used[0], used[-1] + 1))
 
     def let_go(self) -> None:
         """Drop the references to the stages, and release the parts of buffers."""
