@@ -12,7 +12,6 @@ from rich.table import Table
 from gffe_cl.cli.common import (
     CompressionOption,
     EncodeOption,
-    FollowLinksOption,
     JsonOption,
     OverwriteOption,
     app,
@@ -45,7 +44,6 @@ def check(
             callback=output_file("--format-out"),
         ),
     ] = None,
-    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
@@ -126,7 +124,6 @@ def import_(
     ] = None,
     encode: EncodeOption = None,
     compression: CompressionOption = "zip",
-    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:

@@ -21,7 +21,7 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn, T
 
 from gffe_cl.cli.interrupts import INTERRUPTED, Interrupts
 from gffe_cl.engine.core.errors import GffeError, printable, shortened
-from gffe_cl.engine.core.files import follow_links_everywhere, require_output_file, require_readable, write_text
+from gffe_cl.engine.core.files import require_output_file, require_readable, write_text
 from gffe_cl.engine.core.public_names import __version__
 from gffe_cl.engine.core.validation import is_number, require_choice
 from gffe_cl.engine.options import OPTIONS, PRESETS, Option, Options
@@ -47,16 +47,6 @@ DeviceOption = Annotated[
     typer.Option(
         "--device",
         help="OpenCL device: part of its or its platform's name, its index (0:0), gpu or cpu; see `gffe devices`.",
-    ),
-]
-
-FollowLinksOption = Annotated[
-    bool,
-    typer.Option(
-        "--follow-links",
-        help="Links of a capture (paths in JSON, HDF5 links): follow those that leave its folder, too"
-        " [dim](default: only those inside)[/].",
-        callback=follow_links_everywhere,  # nothing else is done with it
     ),
 ]
 

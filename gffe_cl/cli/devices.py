@@ -11,7 +11,6 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     DeviceOption,
-    FollowLinksOption,
     JsonOption,
     OverwriteOption,
     app,
@@ -62,7 +61,6 @@ def bench(
     device: Annotated[
         str | None, typer.Option("--device", help="OpenCL device to time [dim](default: every device that works)[/].")
     ] = None,
-    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
     overwrite: OverwriteOption = False,
     *,

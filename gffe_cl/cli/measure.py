@@ -14,7 +14,6 @@ from rich.table import Table
 
 from gffe_cl.cli.common import (
     DeviceOption,
-    FollowLinksOption,
     JsonOption,
     OverwriteOption,
     app,
@@ -47,7 +46,6 @@ def compare(
     fail_under: Annotated[
         float | None, typer.Option(help="Lowest mean PSNR for exit code 0, dB; below it the exit code is 1.")
     ] = None,
-    follow_links: FollowLinksOption = False,
     json_path: JsonOption = None,
     overwrite: OverwriteOption = False,
 ) -> None:
@@ -142,7 +140,6 @@ def evaluate(
     ] = False,
     fresh: Annotated[bool, typer.Option("--fresh", help="Finished cells: compute them again.")] = False,
     device: DeviceOption = None,
-    follow_links: FollowLinksOption = False,
     overwrite: OverwriteOption = False,
 ) -> None:
     """Measure the quality and time of methods on sequences. Finished cells are kept."""

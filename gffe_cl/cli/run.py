@@ -12,7 +12,6 @@ import typer
 from gffe_cl.cli.common import (
     CompressionOption,
     DeviceOption,
-    FollowLinksOption,
     JsonOption,
     NoCheckOption,
     OverwriteOption,
@@ -104,7 +103,6 @@ def run(
         ),
     ] = "auto",
     no_check: NoCheckOption = False,
-    follow_links: FollowLinksOption = False,
     overwrite: OverwriteOption = False,
     json_path: JsonOption = None,
     *,

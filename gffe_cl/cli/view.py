@@ -10,7 +10,6 @@ import typer
 
 from gffe_cl.cli.common import (
     DeviceOption,
-    FollowLinksOption,
     NoCheckOption,
     OverwriteOption,
     app,
@@ -106,7 +105,6 @@ def view(
     film: FilmOption = None,
     cache: Annotated[int, typer.Option(help="Memory for frames, pipelines and textures, MiB; 0: no cache.")] = 2048,
     no_check: NoCheckOption = False,
-    follow_links: FollowLinksOption = False,
     overwrite: OverwriteOption = False,
     *,
     options: Options,

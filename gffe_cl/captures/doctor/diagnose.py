@@ -32,8 +32,7 @@ from gffe_cl.captures.doctor.findings import (
 )
 from gffe_cl.captures.doctor.found_format import FoundFormat
 from gffe_cl.captures.doctor.order import breaks, color_of_another_frame, needless_resets, repeated_frames
-from gffe_cl.captures.doctor.readings import GIVEN, Reading
-from gffe_cl.captures.doctor.samples import PREVIOUS, Clip, Look, take_looks
+from gffe_cl.captures.doctor.readings import GIVEN, PREVIOUS, Clip, Look, Reading, take_looks
 from gffe_cl.captures.doctor.search import Outcome, Search, Verdict
 from gffe_cl.captures.sequence import FrameEntry
 from gffe_cl.captures.sequence.engine_form import described_frame

@@ -19,7 +19,7 @@ from gffe_cl.captures.doctor.findings import (
     Quantized,
     RepeatedPixels,
 )
-from gffe_cl.captures.doctor.samples import PREVIOUS, Look, encoded
+from gffe_cl.captures.doctor.readings import PREVIOUS, Look, encoded
 from gffe_cl.captures.sequence.encoding import nearest_motion
 from gffe_cl.engine.frame.frame_format import FrameFormat, conversion
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame

@@ -17,8 +17,18 @@ from gffe_cl.captures.doctor.findings import (
     RepeatedColors,
     RepeatedFrames,
 )
-from gffe_cl.captures.doctor.readings import GIVEN, Reading
-from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Clip, Look, of_other_frames, relinked, take_looks, turned
+from gffe_cl.captures.doctor.readings import (
+    GIVEN,
+    NEXT,
+    PREVIOUS,
+    Clip,
+    Look,
+    Reading,
+    of_other_frames,
+    relinked,
+    take_looks,
+    turned,
+)
 from gffe_cl.captures.doctor.search import Bench, Search, Verdict
 
 _MOVES = 0.3  # pixels: vectors by which nothing stays as it is

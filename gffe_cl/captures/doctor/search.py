@@ -17,16 +17,21 @@ from gffe_cl.captures.doctor.readings import (
     GIVEN,
     LAWS,
     LINEAR,
+    NEXT,
+    PREVIOUS,
     Cameras,
     Depth,
+    Look,
     Motion,
     Reading,
     cameras,
     fit_depth,
     motions,
+    of_other_frames,
     rays,
+    sampled,
+    turned,
 )
-from gffe_cl.captures.doctor.samples import NEXT, PREVIOUS, Look, of_other_frames, sampled, turned
 
 _STILL = 0.05  # share of the usual motion: samples with less are no evidence on motion vectors
 _CHANCE = 0.2  # color score where nothing is known

@@ -19,7 +19,7 @@ from gffe_cl.captures.formats.capture import (
     read_json,
     through_window,
 )
-from gffe_cl.captures.sequence.description import Description, FrameEntry, reference
+from gffe_cl.captures.sequence.description import Description, FrameEntry, check_file_name
 from gffe_cl.captures.sequence.exr import (
     COLOR,
     ExrHeader,
@@ -67,7 +67,7 @@ def open_blender(folder: Path) -> Sequence:
     size = (description.width, description.height)
     pixels = BlenderPixels(folder)
     for entry in description.frames:
-        header = read_header(folder / entry.place, entry.file)
+        header = read_header(folder / entry.file, entry.file)
         passes = _passes(header, entry)
         parts = {part for places in filter(None, passes) for part, _ in places}
         require_parts(header, parts, None, entry.file)
@@ -98,7 +98,7 @@ class BlenderPixels(ForeignPixels):
     def color(self, entry, size):
         if entry.kind == "rendered":
             return self.rendered(entry, size)[0]
-        path = self._folder / entry.place
+        path = self._folder / entry.file
         header = read_header(path, entry.file)
         places = _passes(header, entry).color
         part = header.parts[places[0][0]]
@@ -107,7 +107,7 @@ class BlenderPixels(ForeignPixels):
 
     def _read(self, entry: FrameEntry, size):
         """Return R, G, B and depth, and X and Y if there are vectors."""
-        path = self._folder / entry.place
+        path = self._folder / entry.file
         header = read_header(path, entry.file)
         passes = _passes(header, entry)
         places = [*passes.color, *(passes.depth or []), *(passes.vector or [])]
@@ -149,7 +149,7 @@ def _frame(one, index: int, size) -> FrameEntry:
     label = f"{FILE_NAME}, frame {index}"
     if not isinstance(one, dict):
         raise GffeError(f"{label}: must be an object, got {shown(one)}")
-    kind, elsewhere = one.get("kind"), None
+    kind = one.get("kind")
     file: Any = one.get("file")
     if kind not in KINDS:
         raise GffeError(f"{label}: kind must be one of {', '.join(KINDS)}, got {shown(kind)}")
@@ -158,13 +158,11 @@ def _frame(one, index: int, size) -> FrameEntry:
     elif file is None and isinstance(one.get("frame"), int):
         file = f"frame_{one['frame']:04d}.exr"
     if kind != "camera_only":
-        file, elsewhere = reference(file, label)
+        file = check_file_name(file, label)
         label = f"{label} ({file})"
     time = require_number(one.get("time"), f"{label}: time")
     camera = camera_of(one, "world_to_camera", size, label)
-    entry = FrameEntry(
-        str(file), time, kind, reset=one.get("reset") is True, display_camera=camera, elsewhere=elsewhere
-    )
+    entry = FrameEntry(str(file), time, kind, reset=one.get("reset") is True, display_camera=camera)
     if kind == "rendered":
         entry.render_camera = camera
     return entry

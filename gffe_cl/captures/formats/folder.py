@@ -32,7 +32,7 @@ from gffe_cl.captures.formats.capture import (
     with_ending,
 )
 from gffe_cl.captures.formats.flow import inverted_flow
-from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry, reference
+from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameEntry, check_file_name
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
 from gffe_cl.captures.sequence.exr import (
     ExrHeader,
@@ -442,7 +442,7 @@ def parse_buffer(given: Any, name: str) -> Buffer:
     pattern = keys.take("file")
     if not isinstance(pattern, str) or len(_NUMBER.findall(pattern)) != 1 or "%" in _NUMBER.sub("", pattern):
         raise GffeError(f"{name}, file must be a name with %d or %04d for the frame's number, got {shown(pattern)}")
-    name_on_disk, elsewhere = reference(pattern, name)
+    pattern = check_file_name(pattern, name)
     default = _CHANNELS[name]
     channels = keys.take("channels", list(default))
     texts = isinstance(channels, list) and all(isinstance(one, str) for one in channels)
@@ -459,7 +459,7 @@ def parse_buffer(given: Any, name: str) -> Buffer:
     if name == "motion":
         more |= {key: keys.flag(key) for key in ("to_next", "without_jitter")}
     keys.done()
-    return Buffer(elsewhere or name_on_disk, tuple(channels), is_color, offset, **more)
+    return Buffer(pattern, tuple(channels), is_color, offset, **more)
 
 
 @dataclass(eq=False)

@@ -12,7 +12,6 @@ from gffe_cl.captures.sequence.description import FILE_NAME
 from gffe_cl.captures.sequence.output_folder import PART, why_unfinished
 from gffe_cl.captures.sequence.reader import Sequence, open_sequence
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import follow_links as following
 from gffe_cl.engine.core.files import is_video
 from gffe_cl.engine.core.validation import require_path
 
@@ -64,20 +63,14 @@ FORMATS = {
 }
 
 
-def open_capture(path: str | os.PathLike[str], *, follow_links: bool | None = None) -> Sequence:
+def open_capture(path: str | os.PathLike[str]) -> Sequence:
     """Open the capture in the folder `path` (or whose JSON file is `path`), of any form in `gffe formats`, and return
     it as a `Sequence`. The form is recognized by the files.
 
     Everything that can be checked without decoding pixels is checked. Frames are converted to our own conventions, so
-    the result is like that of `open_sequence`. With `follow_links` files of the capture may refer to files outside the
-    folder; by default they may not. Raises GffeError, also for a folder of no known form.
+    the result is like that of `open_sequence`. Raises GffeError, also for a folder of no known form.
     """
     path = require_path(path, "open_capture: path")
-    with following(follow_links):
-        return _opened(path)
-
-
-def _opened(path: Path) -> Sequence:
     place = path.parent if path.name in _JSON_FILES and not path.is_dir() else path
     try:
         if is_video(path) and path.is_file():

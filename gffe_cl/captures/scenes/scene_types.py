@@ -400,7 +400,6 @@ class Scene:
     """
 
     name: str
-    description: str
     seed: int
     groups: list[Group]
     lights: list[Light]

@@ -128,9 +128,9 @@ def still_camera(rng: np.random.Generator, eye=(0.0, 1.55, 2.0), target=(0.0, 1.
     return eye_path, wave(target, (0.15, 0.03, 0.0), (8.0, 9.0, 1.0), phase)
 
 
-def scene(name: str, description: str, seed: int, groups, lights, air, cameras, **more) -> Scene:
+def scene(name: str, seed: int, groups, lights, air, cameras, **more) -> Scene:
     """Return a `Scene` seen through `cameras`: paths of eye and target."""
-    return Scene(name, description, seed, groups, lights, air, *cameras, focal=1.0, **more)
+    return Scene(name, seed, groups, lights, air, *cameras, focal=1.0, **more)
 
 
 _PAINTS = ((0.6, 0.1, 0.06), (0.1, 0.28, 0.55), (0.62, 0.45, 0.06), (0.1, 0.4, 0.2), (0.45, 0.2, 0.45))
@@ -146,7 +146,7 @@ def bars(seed: int, rng: np.random.Generator) -> Scene:
         loop = [(-2.4, z), (0, z - 0.2), (2.4, z), (2.8, z - 0.4), (0, z - 0.55), (-2.8, z - 0.4)]
         path = Path(loop[:: pick(rng, -1, 1)], rng.uniform(1.2, 1.9), rng.random())
         groups += animal(path, rng, 0.65) if k == 1 else walker(path, rng)
-    return scene("bars", "Movers behind bars", seed, groups, *sunlight(rng), still_camera(rng))
+    return scene("bars", seed, groups, *sunlight(rng), still_camera(rng))
 
 
 def railings(seed: int, rng: np.random.Generator) -> Scene:
@@ -168,7 +168,7 @@ def railings(seed: int, rng: np.random.Generator) -> Scene:
         groups.append(Group(leaves, Place(*at) @ slide @ Place(yaw=rng.uniform(-40, 40)), name="caster"))
     eye = wave((0, 1.6, 5.2), (0.9, 0.03, 0.1), (rng.uniform(2.2, 3.0), 0.9, 2.0), rng.random(3))
     target = still_camera(rng)[1]
-    return scene("railings", "Walkers and shadows behind a fence", seed, groups, lights, air, (eye, target))
+    return scene("railings", seed, groups, lights, air, (eye, target))
 
 
 def balls(seed: int, rng: np.random.Generator) -> Scene:
@@ -184,7 +184,7 @@ def balls(seed: int, rng: np.random.Generator) -> Scene:
         loop = [(-2.0, -1.4), (0, -1.0), (2.0, -1.5), (2.3, -2.8), (0, -3.6), (-2.3, -2.7)]
         path = Path(loop[:: 1 - 2 * k], rng.uniform(1.3, 2.0), rng.random())
         groups.append(_ball(Place(0, radius, 0) @ path @ Roll(path, radius), radius, rng))
-    return scene("balls", "Balls that fly, bounce and roll", seed, groups, *lamplight(rng), still_camera(rng))
+    return scene("balls", seed, groups, *lamplight(rng), still_camera(rng))
 
 
 def rotors(seed: int, rng: np.random.Generator) -> Scene:
@@ -209,7 +209,7 @@ def rotors(seed: int, rng: np.random.Generator) -> Scene:
         for z in (-0.36, 0.36):
             at = path @ Place(x, 0.3, z) @ Roll(path, 0.3) @ Place(yaw=90)
             groups += _wheel(at, 0.3, 6, rng)
-    return scene("rotors", "Rotors and wheels", seed, groups, *sunlight(rng), still_camera(rng))
+    return scene("rotors", seed, groups, *sunlight(rng), still_camera(rng))
 
 
 def _ball(at: Motion, radius: float, rng) -> Group:
@@ -239,13 +239,13 @@ def handheld(seed: int, rng: np.random.Generator) -> Scene:
     eye = wave((0, 1.55, 1.8), (0.45, 0.05, 0.4), (1.3 * period, 0.6 * period, 1.7 * period), phase)
     target = wave((0, 1.4, -3.0), (1.6, 0.25, 0), (period, 0.8 * period, 1), rng.random(3))
     cameras = eye, target
-    return scene("handheld", "A camera that accelerates", seed, hall(rng, seed), *lamplight(rng), cameras)
+    return scene("handheld", seed, hall(rng, seed), *lamplight(rng), cameras)
 
 
 def cab(seed: int, rng: np.random.Generator) -> Scene:
     """Return a shaking cab that drives between trees. Its parts are fixed to the camera."""
     groups, cameras, _ = _cab(seed, rng)
-    return scene("cab", "A shaking cab", seed, groups, *sunlight(rng), cameras)
+    return scene("cab", seed, groups, *sunlight(rng), cameras)
 
 
 def wipers(seed: int, rng: np.random.Generator) -> Scene:
@@ -265,7 +265,7 @@ def wipers(seed: int, rng: np.random.Generator) -> Scene:
         Capsule((-0.2 + 0.03 * k, 0.28, -0.32), (-0.23 + 0.03 * k, 0.36, -0.36), 0.016, skin) for k in range(-1, 2)
     ]
     groups.append(Group(hand, reach, name="hand"))
-    return scene("wipers", "Wipers and a hand in a shaking cab", seed, groups, *sunlight(rng), cameras)
+    return scene("wipers", seed, groups, *sunlight(rng), cameras)
 
 
 def _cab(seed: int, rng: np.random.Generator) -> tuple[list[Group], tuple[Callable, Callable], Held]:
@@ -324,7 +324,7 @@ def shadows(seed: int, rng: np.random.Generator) -> Scene:
         turn = Spin("y", rng.uniform(-80, 80)) if k % 2 else Place(yaw=rng.uniform(-40, 40))
         groups.append(Group(boards, at @ slide @ turn, name="caster"))
     air = Air((0.1, 0.23, 0.52), (0.48, 0.54, 0.63), 0.4, (0.16, 0.19, 0.25), (0.1, 0.09, 0.08))
-    return scene("shadows", "Shadows that cross edges", seed, groups, lights, air, still_camera(rng))
+    return scene("shadows", seed, groups, lights, air, still_camera(rng))
 
 
 def fan(seed: int, rng: np.random.Generator) -> Scene:
@@ -334,7 +334,7 @@ def fan(seed: int, rng: np.random.Generator) -> Scene:
     at = Place(rng.uniform(-0.3, 0.3), 2.5, -1.8, pitch=58)  # its −y looks at the foot of the back wall
     lit, can = spotlight(at @ Place(0, 0.45, 0), _WARM, rng.uniform(26, 34), IRON, angle=58)
     groups += can + _fan(at, rng.uniform(160, 260) * pick(rng, -1, 1))
-    return scene("fan", "A fan before a lamp", seed, groups, lights + lit, air, still_camera(rng))
+    return scene("fan", seed, groups, lights + lit, air, still_camera(rng))
 
 
 def _things(rng) -> list[Group]:

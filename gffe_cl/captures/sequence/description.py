@@ -15,11 +15,12 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path, PurePosixPath, PureWindowsPath
+from typing import Any
 
 import numpy as np
 
 from gffe_cl.engine.core.errors import GffeError, within
-from gffe_cl.engine.core.files import following_links, open_regular
+from gffe_cl.engine.core.files import open_regular
 from gffe_cl.engine.core.validation import (
     MOST_SIDE,
     require_bool,
@@ -78,8 +79,6 @@ class FrameEntry:
         The rendered frame that an extrapolated one was made from.
     alpha : float or None
         (time − source time) / (source time − time of the rendered frame before it).
-    elsewhere : str or None
-        Path of the file where that is not in the folder; `file` is then the name of its copies.
     geometry_jitter : (float, float)
         Jitter of depth and motion of a rendered frame that its color does not have, pixels of these.
     geometry_size : (width, height) or None
@@ -96,14 +95,8 @@ class FrameEntry:
     display_camera: Camera | None = None
     source: str | None = None
     alpha: float | None = None
-    elsewhere: str | None = None
     geometry_jitter: tuple[float, float] = (0.0, 0.0)
     geometry_size: tuple[int, int] | None = None
-
-    @property
-    def place(self) -> str:
-        """Path of the file, relative to the folder."""
-        return self.elsewhere or self.file
 
 
 @dataclass
@@ -165,7 +158,6 @@ def parse_description(text: str, name: str = FILE_NAME) -> Description:
     if not isinstance(frames, list) or not frames:
         raise GffeError(f"{name}: frames must be a list of at least one frame")
     description.frames = [_parse_frame(frame, index, name) for index, frame in enumerate(frames)]
-    _require_names(description.frames, name)
     check_times(description.frames, name)
     for entry in description.frames:
         if entry.kind == "rendered":
@@ -196,16 +188,6 @@ def checked_entry(entry: FrameEntry, label: str = "") -> FrameEntry:
         geometry_jitter=require_jitter(entry.geometry_jitter, label[:-2]),
         geometry_size=None if geometry is None else require_size(geometry, f"{label}geometry_size", whole=True),
     )
-
-
-def _require_names(frames: list[FrameEntry], name: str) -> None:
-    """Raise GffeError if two files of different folders would have the same name."""
-    places: dict[str, str] = {}
-    for index, entry in enumerate(frames):
-        other = places.setdefault(entry.file, entry.place)
-        if other != entry.place:
-            label = frame_label(index, entry.place, name)
-            raise GffeError(f"{label}: would be called {entry.file} like {other} (expected names of their own)")
 
 
 def frame_label(index: int, file: str, name: str = FILE_NAME) -> str:
@@ -251,22 +233,10 @@ def check_file_name(file, label: str) -> str:
     if name is None or name in (".", FILE_NAME):
         raise GffeError(f"{label}: file must be the name of an EXR file, got {shown(file)}")
     if _leaves(name):
-        raise GffeError(f"{label}: file must stay inside the sequence's folder, got {shown(file)}")
-    return name
-
-
-def reference(file, label: str) -> tuple[str, str | None]:
-    """Return the name of a file that is read, as `check_file_name` does, and its path if that leaves the folder. Raises
-    GffeError if it leaves the folder unless links are followed (`gffe_cl.engine.core.files.following_links`)."""
-    if not isinstance(file, str) or not _leaves(file):
-        return check_file_name(file, label), None
-    if not following_links():
         raise GffeError(
-            f"{label}: file must stay inside the sequence's folder, got {shown(file)} (--follow-links allows it)"
+            f"{label}: file must stay inside the folder, got {shown(file)} (expected a link of the file system)"
         )
-    parts = [part for part in PurePosixPath(file).parts if part not in ("..", "/")]
-    name = re.sub(r"[\\:]|\.\.", "_", "/".join(parts))
-    return check_file_name(name, label), _on_disk(file)
+    return name
 
 
 def _leaves(file: str) -> bool:
@@ -356,14 +326,15 @@ def _camera_document(camera: Camera) -> dict:
 def _parse_frame(frame, index, name) -> FrameEntry:
     if not isinstance(frame, dict):
         raise GffeError(f"{name}, frame {index}: must be an object, got {shown(frame)}")
-    file, elsewhere = reference(frame.get("file"), f"{name}, frame {index}")
+    file = check_file_name(frame.get("file"), f"{name}, frame {index}")
     label = frame_label(index, file, name)
-    given = {key: frame[key] for key in _OPTIONAL if frame.get(key) is not None}
+    given: dict[str, Any] = {key: frame[key] for key in _OPTIONAL if frame.get(key) is not None}
     for key in given.keys() & {"render_camera", "display_camera"}:
         given[key] = _parse_camera(given[key], f"{label}: {key}")
     if "source" in given:
-        given["source"], _ = reference(given["source"], f"{label}, source")
-    return checked_entry(FrameEntry(file, frame.get("time"), frame.get("kind"), elsewhere=elsewhere, **given), label)
+        given["source"] = check_file_name(given["source"], f"{label}, source")
+    given |= {"time": frame.get("time"), "kind": frame.get("kind")}
+    return checked_entry(FrameEntry(file, **given), label)
 
 
 def _parse_format(given, version: int, name: str) -> FrameFormat:

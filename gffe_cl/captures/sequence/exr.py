@@ -662,7 +662,7 @@ class OwnPixels:
         self.notes = []
 
     def read(self, entry, size):
-        path = self._folder / entry.place
+        path = self._folder / entry.file
         header = read_header(path, entry.file)
         names = RENDERED if has_motion(header) or not entry.reset else RENDERED[:4]
         over = {field: those for field, those in OVERLAY_CHANNELS.items() if header.find(those[0])}
@@ -679,17 +679,17 @@ class OwnPixels:
     def color(self, entry, size):
         channels = self.channels(entry, COLOR, size)
         if entry.kind != "rendered":  # the camera of a rendered frame says where its data window is
-            header = read_header(self._folder / entry.place, entry.file)
+            header = read_header(self._folder / entry.file, entry.file)
             part = header.parts[require_channels(header, COLOR, entry.file)[0][0]]
             if part.shown_size == tuple(size):
                 channels = {name: placed(channel, part, 0.0) for name, channel in channels.items()}
         return stack_color(channels)
 
     def channels(self, entry, names, size):
-        return read_channels(self._folder / entry.place, tuple(names), entry.file, size)
+        return read_channels(self._folder / entry.file, tuple(names), entry.file, size)
 
     def exr_file(self, entry):
-        return self._folder / entry.place
+        return self._folder / entry.file
 
 
 class ForeignPixels:

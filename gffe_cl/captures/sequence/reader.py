@@ -42,7 +42,6 @@ from gffe_cl.captures.sequence.exr import (
 )
 from gffe_cl.captures.sequence.output_folder import why_unfinished
 from gffe_cl.engine.core.errors import GffeError, printable, within
-from gffe_cl.engine.core.files import follow_links as following
 from gffe_cl.engine.core.validation import (
     require_choice,
     require_kind,
@@ -280,20 +279,14 @@ def _moment(kind: str, time: float) -> tuple[str, float]:
     return require_choice(kind, (*KINDS, "camera_only"), "sequence: kind"), require_number(time, "sequence: time")
 
 
-def open_sequence(path: str | os.PathLike[str], *, follow_links: bool | None = None) -> Sequence:
+@without_collections()
+def open_sequence(path: str | os.PathLike[str]) -> Sequence:
     """Open the sequence in the folder `path` (or whose `sequence.json` is `path`), and return it.
 
     JSON, cameras and the headers of all files are checked here, so that no later work meets a missing channel or file,
-    a wrong size, or a truncated file. With `follow_links` the JSON may name files outside the folder; by default it may
-    not. Raises GffeError.
+    a wrong size, or a truncated file. Raises GffeError.
     """
     path = require_path(path, "open_sequence: path")
-    with following(follow_links):
-        return _opened(path)
-
-
-@without_collections()
-def _opened(path: Path) -> Sequence:
     try:
         if unfinished := why_unfinished(path):
             raise GffeError(f"{path}: {unfinished}")
@@ -310,7 +303,7 @@ def _opened(path: Path) -> Sequence:
     # On one thread: the system calls are so short that threads only wait for each other.
     pixels = OwnPixels(folder)
     for index, entry in enumerate(description.frames):
-        header = read_header(os.path.join(folder, entry.place), entry.file)
+        header = read_header(os.path.join(folder, entry.file), entry.file)
         places = _places(entry, header)
         _complete_cameras(entry, header, description, index, json_path.name)
         size = entry.render_size or (description.width, description.height)

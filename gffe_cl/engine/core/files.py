@@ -10,7 +10,6 @@ import re
 import stat
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager, suppress
-from contextvars import ContextVar
 from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import BinaryIO
@@ -21,7 +20,6 @@ except ImportError:  # not on Windows: no lock there
     fcntl = None
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import require_bool
 
 _OPENING = getattr(os, "O_NONBLOCK", 0) | getattr(os, "O_BINARY", 0) | getattr(os, "O_CLOEXEC", 0)
 _EXR_MAGIC = b"\x76\x2f\x31\x01"
@@ -38,34 +36,6 @@ _OWN = re.compile(
     rb'"(generator": "gffe-cl|frame_format":)|\A(\{\n "repeat": \{|sequence,method,region,metric,value\n)'
 )
 _MOST_SMALL, _MOST_PER_PIXEL, _MOST = 64 << 20, 512, 4 << 30  # bytes that an image may decode to
-_anywhere = False  # of this process
-_anywhere_here: ContextVar[bool | None] = ContextVar("follow_links", default=None)  # of one call
-
-
-def following_links() -> bool:
-    """Return whether references inside the files that are opened now may leave their folder; docs/formats.md has the
-    rules.
-
-    Paths in JSON files and HDF5 links are references. Links of the file system are always followed: the user made them.
-    """
-    here = _anywhere_here.get()
-    return _anywhere if here is None else here
-
-
-@contextmanager
-def follow_links(allowed: bool | None) -> Iterator[None]:
-    """Set `following_links` for this block and thread; None leaves it as it is. Raises GffeError for no truth value."""
-    token = _anywhere_here.set(following_links() if allowed is None else require_bool(allowed, "follow_links"))
-    try:
-        yield
-    finally:
-        _anywhere_here.reset(token)
-
-
-def follow_links_everywhere(allowed: bool) -> None:
-    """Set `following_links` for this process, wherever `follow_links` does not."""
-    global _anywhere
-    _anywhere = allowed
 
 
 def open_regular(path: Path | str) -> BinaryIO:

@@ -77,6 +77,10 @@ GONE: dict[str, str] = {
     "choose_options": "choose a preset: gffe bench prints what each costs.",
     "gffe bench --budget": "gffe bench prints what each preset costs.",
     "attach": "record(pipeline, folder) writes rendered frames that `gffe view FOLDER` follows.",
+    **{
+        f"gffe {command} --follow-links": "make a link of the file system in the capture's folder: these are followed."
+        for command in ("bench", "check", "compare", "eval", "import", "run", "view")
+    },
     "gffe train --data-only": "the command makes its clips first, and continues from them.",
     "gffe view --attach": "gffe_cl.record(pipeline, folder) in the program, and `gffe view FOLDER` beside it.",
     "gffe view --last": "gffe_cl.record(pipeline, folder, most=…) in the program, and `gffe view FOLDER` beside it.",

@@ -24,8 +24,7 @@ from gffe_cl.engine.core.files import replacing
 from gffe_cl.engine.core.validation import require_seed
 from gffe_cl.engine.frame.transfer_function import SRGB_TOE
 from gffe_cl.lab.metrics import FOCUS
-from gffe_cl.lab.training.augmentation import Augmentation
-from gffe_cl.lab.training.data import VERSION, Batch, Crop, CropReader, keep_crops
+from gffe_cl.lab.training.data import VERSION, Augmentation, Batch, Crop, CropReader, keep_crops
 from gffe_cl.lab.training.export import weights_of
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork, compose, double, encode
 from gffe_cl.lab.training.quantization import quantize

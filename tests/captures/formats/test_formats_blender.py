@@ -169,18 +169,16 @@ def test_faults(tmp_path, change, words):
 
 
 def test_files_elsewhere(tmp_path):
-    """Links of the file system are followed, names in the JSON where that is allowed."""
+    """Links of the file system are followed, names in the JSON are not."""
     folder = write_blender(tmp_path / "in", shots())
     (tmp_path / "beside").mkdir()
     for name in ("frame_0002.exr", "cameras.json"):
         (folder / name).rename(tmp_path / "beside" / name)
         (folder / name).symlink_to(tmp_path / "beside" / name)
-    expected = open_capture(folder).read(open_capture(folder).rendered[1]).depth
+    assert open_capture(folder).read(open_capture(folder).rendered[1]).depth.any()
     edit_json(folder / "cameras.json", lambda d: d["frames"][2].update(file="../beside/frame_0002.exr"))
     with pytest.raises(GffeError, match="must stay inside"):
         open_capture(folder)
-    sequence = open_capture(folder, follow_links=True)
-    np.testing.assert_array_equal(sequence.read(sequence.rendered[1]).depth, expected)
 
 
 def test_commands_take_it(tmp_path, monkeypatch):

@@ -70,7 +70,7 @@ GOOD = {
     **{"number": 3, "display_rate": 60.0, "now": 0.2, "frames": [FRAME, NEXT], "render_size": (W, H), "fps": 30.0},
     **{"time": 0.0, "kind": "rendered", "names": ["R"], "SequenceWriter.folder.name": "stages", "frame": NEXT},
     **{"previous": FRAME, "nbytes": 16, "shape": (3, 4), "dtype": np.float32, "Pipeline.extrapolate.time": 2.0},
-    **{"Pipeline.keep.names": ["warp.color"], "path": "good", "folder": "seen", "ahead": 2, "follow_links": False},
+    **{"Pipeline.keep.names": ["warp.color"], "path": "good", "folder": "seen", "ahead": 2},
 }  # fmt: skip
 # What needs a device, and what a fake driver (tests/engine/opencl/test_memory_sharing.py); plain records, checked where
 # they are used; what is made by others only.
@@ -131,7 +131,7 @@ TAKEN = {
     "Options.scn_provider", "SequenceWriter.path", "record.folder", "SequenceWriter.folder.name", "FrameEntry.file",
     "Device.empty.shape", "Pipeline.submit.wait_for", "Pipeline.present.wait_for",
     "Pipeline.extrapolate.wait_for", "FrameEntry.source", "FrameEntry.alpha",
-    "FrameEntry.elsewhere", "named_channels.color",
+    "named_channels.color",
 }  # fmt: skip
 # Others, which may be right.
 ANY = st.one_of(

@@ -83,7 +83,7 @@ def test_acceleration_is_worth_it(device, name):
     room = [Group([Box((0, -0.1, -1), (12, 0.2, 12), GRAY)]), Group([Box((0, 2, -3), (12, 4, 0.2), GRAY)])]
     lights = [Light("lamp", (2, 4, 3), (14, 14, 13)), Light("fill", (-3, 3, 3), (4, 4, 5))]
     eye = wave((0, 1.2, 4), (0.4, 0.05, 0.1), 4.0)
-    scene = Scene("movers", "", 0, room + groups, lights, Air(), eye, lambda time: np.array((0, 1.0, 0)))
+    scene = Scene("movers", 0, room + groups, lights, Air(), eye, lambda time: np.array((0, 1.0, 0)))
     size = (240, 136)
     frames = SceneFrames(SceneRenderer(device, scene, *size))
     plain = Options(shading_correction=False, acceleration=False)
@@ -107,7 +107,7 @@ def test_acceleration_is_worth_it(device, name):
 def test_nothing_is_known_after_a_reset(device):
     """Velocity is forgotten; an acceleration that is new counts by a half."""
     size = (96, 64)
-    scene = Scene("movers", "", 0, ball(FLIGHT), [], Air(), wave((0, 1.2, 4), (0, 0, 0), 4.0), lambda t: np.zeros(3))
+    scene = Scene("movers", 0, ball(FLIGHT), [], Air(), wave((0, 1.2, 4), (0, 0, 0), 4.0), lambda t: np.zeros(3))
     frames = list(SceneFrames(SceneRenderer(device, scene, *size)).sequence(4))
     pipeline = Pipeline(device, *size, Options(shading_correction=False, static_threshold=0.25))
     stage, trusted, known = pipeline.stages["acceleration"], [], []

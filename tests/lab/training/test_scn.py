@@ -18,8 +18,7 @@ from gffe_cl.lab.training import data as data_module  # noqa: E402
 from gffe_cl.lab.training import network  # noqa: E402
 from gffe_cl.lab.training import training as trained  # noqa: E402
 from gffe_cl.lab.training import training as training_module  # noqa: E402
-from gffe_cl.lab.training.augmentation import Augmentation, low_pass  # noqa: E402
-from gffe_cl.lab.training.data import Batch, Crop, CropReader, focus_truth, list_crops  # noqa: E402
+from gffe_cl.lab.training.data import Augmentation, Batch, Crop, CropReader, focus_truth, list_crops, low_pass  # noqa: E402  # noqa: E402
 from gffe_cl.lab.training.export import differences, export_onnx  # noqa: E402
 from gffe_cl.lab.training.training import CHECKPOINT, Recipe, Training, split_crops, weights  # noqa: E402
 

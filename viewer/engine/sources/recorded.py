@@ -124,7 +124,7 @@ class RecordedSource(Recorded, FrameSource):
     def _take(self, sequence):
         super()._take(sequence)
         folder, entries = Path(sequence.path), (*sequence.rendered, *sequence.ground_truth)
-        self._rewritten.watch(folder / entry.place for entry in entries)
+        self._rewritten.watch(folder / entry.file for entry in entries)
         truths = sequence.ground_truth
         self._next_truth = dict(zip((entry.file for entry in truths), truths[1:], strict=False))
         self.has_truth = bool(truths)

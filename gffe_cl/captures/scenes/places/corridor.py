@@ -120,7 +120,7 @@ def _scene(seed, rng, groups, lights, air) -> Scene:
         angle = yaw * np.sin(2 * np.pi * (time / yaw_period + lag))
         return eye(time) + np.array((np.sin(angle), -0.06, -np.cos(angle)))
 
-    return Scene("corridor", "Sunlit passage", seed, groups, lights, air, eye, target, focal=0.85)
+    return Scene("corridor", seed, groups, lights, air, eye, target, focal=0.85)
 
 
 def _right_side(rng, trim) -> list[Group]:

@@ -56,7 +56,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
         haze=0.002,
     )
     eye, target = _mouse_look(rng)
-    return Scene("courtyard", "Sunlit court", seed, groups, lights, air, eye, target, focal=0.8)
+    return Scene("courtyard", seed, groups, lights, air, eye, target, focal=0.8)
 
 
 def _mouse_look(rng):

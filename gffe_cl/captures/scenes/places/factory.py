@@ -56,7 +56,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
         angle = -0.12 + pan * np.sin(2 * np.pi * (time / 11 + lag))
         return eye(time) + np.array((np.sin(angle), -0.04, -np.cos(angle)))
 
-    return Scene("factory", "Hall of a factory", seed, groups, lights, air, eye, target, focal=0.78)
+    return Scene("factory", seed, groups, lights, air, eye, target, focal=0.78)
 
 
 def _hall(rng, seed, fans) -> list[Group]:

@@ -62,7 +62,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
         haze=mist,
     )
     lights = [Light("sun", sun, sun_color, size=rng.uniform(0.015, 0.03))]
-    return Scene("forest", "Clearing among trunks", seed, groups, lights, air, eye, target, focal=focal)
+    return Scene("forest", seed, groups, lights, air, eye, target, focal=focal)
 
 
 def _look_around(rng):

@@ -35,7 +35,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
         angle = look * np.sin(2 * np.pi * (time / look_period + lag))
         return eye(time) + np.array((np.sin(angle), -0.09, -np.cos(angle)))
 
-    return Scene("gallery", "Hall of polished floors", seed, groups, lights, air, eye, target, focal=0.8)
+    return Scene("gallery", seed, groups, lights, air, eye, target, focal=0.8)
 
 
 def _shell(rng, seed, white) -> list[Group]:

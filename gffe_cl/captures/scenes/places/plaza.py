@@ -74,7 +74,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
     target = wave(
         (0, 1.75, -9.0), (reach * 0.45, 0.15, 0), (period * rng.uniform(0.6, 0.9), 9, 1), (rng.random(), 0, 0)
     )
-    return Scene("plaza", "Town square behind a fence", seed, groups, lights, air, eye, target, focal=0.9)
+    return Scene("plaza", seed, groups, lights, air, eye, target, focal=0.9)
 
 
 def _at(place, y) -> tuple:

@@ -83,7 +83,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
             (-0.7 * np.cos(a + 0.25), 0.98 + 0.12 * np.sin(2 * np.pi * time / 4.3), -0.7 * np.sin(a + 0.25))
         )
 
-    return Scene("room", "Furnished living room", seed, groups, lights, air, eye, target, focal=0.72)
+    return Scene("room", seed, groups, lights, air, eye, target, focal=0.72)
 
 
 def _stronger(light: Light, factor: float) -> Light:

@@ -57,7 +57,7 @@ def build(seed: int, rng: np.random.Generator) -> Scene:
         angle = 0.42 + look * np.sin(2 * np.pi * (time / 7.3 + lag))
         return eye(time) + np.array((np.sin(angle), -0.07, -np.cos(angle)))
 
-    return Scene("street", "Wet street at night", seed, groups, lights, air, eye, target, focal=0.8)
+    return Scene("street", seed, groups, lights, air, eye, target, focal=0.8)
 
 
 def _ground(rng, seed) -> list[Group]:
