@@ -2,7 +2,6 @@
 
     python docs/tools/compare_speed.py                                       HEAD and this working tree, plaza, 1080p
     python docs/tools/compare_speed.py --scene plaza --scene forest --device pocl --repeats 10
-    python docs/tools/compare_speed.py --sequence FOLDER                     a sequence, in its own size
     python docs/tools/compare_speed.py --scn                                 with the shading correction network
     python docs/tools/compare_speed.py --host --size 320x180                 processor time of the calling thread, for
                                                                              each way in which frames come
@@ -262,7 +261,6 @@ def main() -> None:
     parser.add_argument("--old", default="HEAD", help="commit, or folder of a checkout")
     parser.add_argument("--new", default=str(REPOSITORY), help="the same; default: this working tree")
     parser.add_argument("--scene", action="append", default=[], help="a built-in scene; may be repeated")
-    parser.add_argument("--sequence", action="append", default=[], help="folder of a sequence; may be repeated")
     parser.add_argument("--size", default="1920x1080")
     parser.add_argument("--repeats", type=int, default=16, help="counted pairs of frames")
     parser.add_argument("--frame", type=int, help="which rendered frame; default: the bench's")
@@ -287,10 +285,10 @@ def main() -> None:
     with tempfile.TemporaryDirectory(prefix="compare_speed_") as temporary:
         folder = Path(temporary)
         trees = [checkout(asked.old, folder / "old"), checkout(asked.new, folder / "new")]
-        subjects = [*asked.scene, *asked.sequence] or [SCENE]
+        subjects = asked.scene or [SCENE]
         for number, (subject, name) in enumerate((s, d) for s in subjects for d in asked.device or [None]):
             device = open_device(name)
-            footage = loop_of(device, subject, None if subject in asked.sequence else (width, height), asked.frame)
+            footage = loop_of(device, subject, (width, height), asked.frame)
             place = folder / f"footage_{number}"
             flags = ["--scn"] * asked.scn + (["--preset", asked.preset] if asked.preset else [])
             for way in HOST if asked.host == "all" else [asked.host]:

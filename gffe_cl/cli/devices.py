@@ -38,23 +38,10 @@ _SIZES = "960x540,1280x720,1920x1080,3840x2160"
 @app.command()
 @takes_options()
 def bench(
-    subject: Annotated[
-        str | None,
-        typer.Argument(
-            metavar="SCENE|SEQUENCE", help="Built-in scene, or folder of a sequence [dim](default: plaza)[/]."
-        ),
-    ] = None,
-    sizes: Annotated[
-        str | None,
-        typer.Option(help=f"Frame sizes of a built-in scene, WxH,… [dim](default: {_SIZES}; a sequence's own)[/]."),
-    ] = None,
+    scene: Annotated[str, typer.Argument(help="Built-in scene.")] = "plaza",
+    sizes: Annotated[str, typer.Option(help="Frame sizes: WxH,…")] = _SIZES,
     repeats: Annotated[int, typer.Option(help="Number of timed frames per size.")] = 15,
-    frame: Annotated[
-        int | None,
-        typer.Option(
-            help="Index of the timed rendered frame [dim](default: 31 of a scene, the middle one of a sequence)[/]."
-        ),
-    ] = None,
+    frame: Annotated[int, typer.Option(help="Index of the timed rendered frame.")] = 31,
     kernels: Annotated[
         bool, typer.Option("--kernels", help="Kernel times: also print the time of every kernel.")
     ] = False,
@@ -69,17 +56,15 @@ def bench(
     """Time every stage, in milliseconds and in bytes per pixel, and every preset; compare with the paper's table."""
     from gffe_cl.engine.opencl.device import list_devices, open_device, open_info
     from gffe_cl.engine.timing.bench import PAPER, Copier, bench_size, growth
-    from gffe_cl.lab.bench import is_sequence, loop_of
+    from gffe_cl.lab.bench import loop_of
 
     if repeats < 1:
         raise GffeError(f"--repeats must be at least 1, got {repeats}")
-    parsed = None if sizes is None else [parse_size(text) for text in sizes.split(",")]
+    chosen = [parse_size(text) for text in sizes.split(",")]
     if device is None:
         opened = [open_info(info, profiling=True) for info in list_devices() if info.works] or [open_device()]
     else:
         opened = [open_device(device, profiling=True)]
-    of_sequence = parsed is None and is_sequence(subject)  # at its own size
-    chosen = [None] if of_sequence else parsed or [parse_size(text) for text in _SIZES.split(",")]
     report = []
     for one in opened:
         results, name = [], ""
@@ -87,7 +72,7 @@ def bench(
             advance = steps(progress)(_label(one.info), len(chosen) * repeats)
             copier = Copier(one)
             for size in chosen:
-                loop = loop_of(one, subject, size, frame, options.upscale)
+                loop = loop_of(one, scene, size, frame, options.upscale)
                 results.append(bench_size(one, copier, loop, options, repeats, advance))
                 name = loop.name
         _print_bench(one.info, name, results)

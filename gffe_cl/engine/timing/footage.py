@@ -13,7 +13,6 @@ from gffe_cl.engine.frame.rendered_frame import RenderedFrame, host_arrays
 from gffe_cl.engine.opencl.device import Device
 
 WARM_UP = 3  # pairs of a scene that do not count
-SETTLED = 2  # frames after a reset that do not count: movers, and surfaces behind them, are still unknown
 
 
 @dataclass(frozen=True)
@@ -44,17 +43,15 @@ class FrameLoop:
     interval: float
     frames: tuple[RenderedFrame, ...]
     cameras: tuple[Camera | None, ...]
-    forward: bool
     render_size: tuple[int, int] | None = None
 
     def turns(self, counted: int) -> Iterator[Turn]:
         """Yield the turns of the loop, until so many have counted."""
         before, done, k = None, 0, 0
-        settled = min(SETTLED, len(self.frames) - 1)
         while done < counted:
             index = k % len(self.frames)
-            frame = replace(self.frames[index], time=k * self.interval, reset=index == 0 if self.forward else k == 0)
-            counts = index >= settled if self.forward else k >= WARM_UP
+            frame = replace(self.frames[index], time=k * self.interval, reset=k == 0)
+            counts = k >= WARM_UP
             yield Turn(index, frame, None if frame.reset else before, self.cameras[index], counts)
             before, done, k = frame, done + counts, k + 1
 
