@@ -18,8 +18,8 @@ from typing import Any
 
 from pages import DOCS, MEASURED, REPOSITORY, table, with_all
 
+from gffe_cl.lab.table.cells import COLUMNS, PAPER, VIDEO_COLUMNS
 from gffe_cl.lab.table.methods import FULL
-from gffe_cl.lab.table.results import COLUMNS, PAPER, VIDEO_COLUMNS
 
 PAGE, README, RECORD = DOCS / "results.md", REPOSITORY / "README.md", MEASURED / "eval.json"
 SHOWN = ("psnr", "against", "ssim", "flip", "flicker", *(column.name for column in VIDEO_COLUMNS))

@@ -145,8 +145,7 @@ def evaluate(
     """Measure the quality and time of methods on sequences. Finished cells are kept."""
     require_packages("eval", "lab", "skimage", "scipy")
     from gffe_cl.captures.scenes import SCENES, is_scene
-    from gffe_cl.lab.table.cells import TableOrder, fill
-    from gffe_cl.lab.table.results import results_of
+    from gffe_cl.lab.table.cells import TableOrder, fill, results_of
 
     if not (4 <= frames <= 10_000 and 0 < fps <= 1e6 and 1 <= seeds <= 10_000):
         raise GffeError(
@@ -221,7 +220,7 @@ def _folder(path: Path) -> Path:
 
 
 def _write(output: Path, results: dict) -> None:
-    from gffe_cl.lab.table.results import to_csv
+    from gffe_cl.lab.table.cells import to_csv
 
     files = {
         "results.json": json.dumps(results, indent=1, allow_nan=False) + "\n",
@@ -236,7 +235,7 @@ def _write(output: Path, results: dict) -> None:
 
 
 def _print(results: dict, with_regions: bool) -> None:
-    from gffe_cl.lab.table.results import columns_of
+    from gffe_cl.lab.table.cells import columns_of
 
     columns = columns_of(results)
     titles = {method["name"]: method["title"] for method in results["methods"]}

@@ -9,7 +9,7 @@ from frame_models import network
 from scn_models import constant_model
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.lab.table import cells, results
+from gffe_cl.lab.table import cells
 from gffe_cl.lab.table.cells import Cell, TableOrder, compute_cell, fill
 from gffe_cl.lab.table.footage import FolderSubject, SceneSubject
 from gffe_cl.lab.table.methods import METHODS
@@ -162,4 +162,4 @@ def test_an_interrupt_leaves_finished_cells(tmp_path, monkeypatch):
     assert len(list(tmp_path.glob("*.json"))) == 2
     filled = fill(order, tmp_path)
     assert filled.computed == 2 and len(filled.cells) == 3
-    assert "motion vectors in image space" in results.results_of(filled)["methods"][1]["title"]
+    assert "motion vectors in image space" in cells.results_of(filled)["methods"][1]["title"]

@@ -25,9 +25,8 @@ from gffe_cl.engine.core.validation import require_seed
 from gffe_cl.engine.frame.transfer_function import SRGB_TOE
 from gffe_cl.lab.metrics import FOCUS
 from gffe_cl.lab.training.data import VERSION, Augmentation, Batch, Crop, CropReader, keep_crops
-from gffe_cl.lab.training.export import weights_of
+from gffe_cl.lab.training.export import quantize, weights_of
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork, compose, double, encode
-from gffe_cl.lab.training.quantization import quantize
 
 LOSSES_VERSION = 5  # of the terms' definition: a run continues only with its own
 FOCUS_WEIGHT = 0.05  # λ_focus; the paper's is 1, and its mask covers large errors only

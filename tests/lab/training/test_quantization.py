@@ -10,9 +10,12 @@ from onnx import numpy_helper  # noqa: E402
 
 from gffe_cl.engine.inference import network as inference  # noqa: E402
 from gffe_cl.engine.inference.network import cpu_model  # noqa: E402
-from gffe_cl.lab.training.export import differences, export_onnx  # noqa: E402
+from gffe_cl.lab.training.export import (  # noqa: E402
+    differences,
+    export_onnx,
+    quantize,
+)
 from gffe_cl.lab.training.network import ShadingCorrectionNetwork  # noqa: E402
-from gffe_cl.lab.training.quantization import quantize  # noqa: E402
 
 
 def inputs(count=6, seed=0):
