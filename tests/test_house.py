@@ -106,15 +106,15 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 37_808,
+    "gffe_cl": 37_622,
     "viewer": 11_998,
     "kernels": 10_185,
-    "tests": 28_093,
-    "docs/tools": 3_588,
+    "tests": 28_051,
+    "docs/tools": 3_586,
     "docs/examples": 1_822,
-    "docs/*.md": 4_396,
+    "docs/*.md": 4_390,
 }
-MOST_MODULES = 207
+MOST_MODULES = 203
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
 
 

@@ -15,11 +15,12 @@ import numpy as np
 
 from gffe_cl.captures.doctor.findings import Finding
 from gffe_cl.captures.doctor.readings import VIEW_AXES, Cameras
+from gffe_cl.captures.formats.capture import Keys
 from gffe_cl.captures.sequence import FrameEntry, Sequence
 from gffe_cl.captures.sequence.description import Description
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.validation import require_choice, require_kind, require_positive, require_whole
+from gffe_cl.engine.core.validation import require_positive, require_whole
 from gffe_cl.engine.frame.frame_format import NO_JITTER, FrameFormat, jitter_in_color, require_render_size
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 
@@ -62,18 +63,21 @@ class FoundFormat:
     @classmethod
     def from_json(cls, given: Any) -> FoundFormat:
         """Return the format of which `to_json` gave the JSON. Raises GffeError for anything else."""
-        document = _object(given, "format", ("frame_format", "files", "cameras"))
-        offsets = {}
-        for buffer, keys in _object(document.get("files", {}), "format: files", _BUFFERS).items():
-            by = _object(keys, f"format: {buffer}", ("frame_offset",)).get("frame_offset", 0)
-            offsets[buffer] = require_whole(by, f"format: {buffer}, frame_offset", -_MOST_OFFSET, _MOST_OFFSET)
-        keys = _object(document.get("cameras", {}), "format: cameras", (*_CAMERAS, "focal_scale"))
-        for name in keys:
-            if name == "focal_scale":
-                require_positive(keys[name], "format: focal_scale")
-            else:
-                require_choice(keys[name], _CAMERAS[name], f"format: {name}")
-        return cls(FrameFormat.from_json(document.get("frame_format", {})), offsets, Cameras(**keys))
+        document = Keys(given, "format")
+        fields, files = document.take("frame_format", {}), Keys(document.take("files", {}), "format: files")
+        offsets, keys = {}, Keys(document.take("cameras", {}), "format: cameras")
+        document.done()
+        for buffer in _BUFFERS:
+            if (given := files.take(buffer)) is not None:
+                file = Keys(given, f"format: {buffer}")
+                by = file.take("frame_offset", 0)
+                offsets[buffer] = require_whole(by, f"{file.label}, frame_offset", -_MOST_OFFSET, _MOST_OFFSET)
+                file.done()
+        files.done()
+        cameras: dict[str, Any] = {name: keys.choice(name, values, values[0]) for name, values in _CAMERAS.items()}
+        cameras["focal_scale"] = require_positive(keys.take("focal_scale", 1.0), "format: focal_scale")
+        keys.done()
+        return cls(FrameFormat.from_json(fields), offsets, Cameras(**cameras))
 
     @classmethod
     def open(cls, path: Path) -> FoundFormat:
@@ -84,14 +88,6 @@ class FoundFormat:
             raise GffeError(f"{path}: cannot be read ({error.strerror or error})") from None
         except (ValueError, RecursionError):
             raise GffeError(f"{path}: no JSON (expected the file of `gffe check --format-out`)") from None
-
-
-def _object(given: Any, what: str, names: tuple[str, ...]) -> dict[str, Any]:
-    made = require_kind(given, dict, what, "an object")
-    unknown = [name for name in made if name not in names]
-    if unknown:
-        raise GffeError(f"{what}: unknown key '{unknown[0]}' (expected {', '.join(names)})")
-    return made
 
 
 def with_format(sequence: Sequence, found: FoundFormat) -> Sequence:

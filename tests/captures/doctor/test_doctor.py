@@ -97,8 +97,8 @@ def test_the_command_finds_a_format_and_import_converts_by_it(gffe, tmp_path):
     ("text", "message"),
     [
         ("{", "no JSON"),
-        ('{"depth": 1}', "format: unknown key 'depth' (expected frame_format, files, cameras)"),
-        ('{"cameras": {"convention": "blender"}}', "format: convention must be one of gffe, opengl, direct3d"),
+        ('{"depth": 1}', 'format: unknown key "depth" (expected some of frame_format, files, cameras)'),
+        ('{"cameras": {"convention": "blender"}}', "format: cameras, convention must be one of gffe, opengl, direct3d"),
         ('{"files": {"motion": {"frame_offset": 0.5}}}', "format: motion, frame_offset"),
         ('{"files": {"motion": {"frame_offset": 9}}}', "no rendered frame is left with these frame offsets"),
     ],
