@@ -593,20 +593,16 @@ def test_png(tmp_path):
 
 def layers():
     rng = np.random.default_rng(2)
-
-    def spec(name, components=(), planes=1):
-        return LayerSpec(name, name, "group", "scalar", components, planes)
-
+    components = {"final": tuple("RGBA"), "one.named": ("depth",), "history.positions": ("x", "y")}
     images = {
         "final": rng.random((5, 7, 4)).astype(np.float16),
         "rendered.depth": np.where(rng.random((5, 7)) < 0.3, np.inf, rng.random((5, 7))).astype(np.float32),
-        "one.named": rng.random((3, 2)).astype(np.float32),
+        "one.named": rng.random((5, 7)).astype(np.float32),
         "holes.filled_by": rng.integers(0, 5, (5, 7), np.uint8),
         "history.positions": rng.random((2, 5, 7, 2)).astype(np.float32),
     }
-    components = {"final": tuple("RGBA"), "one.named": ("depth",), "history.positions": ("x", "y")}
-    specs = {name: spec(name, components.get(name, ()), 2 if name.startswith("history") else 1) for name in images}
-    return images, specs
+    listed = ((name, components.get(name, ()), 1 + (image.ndim == 4)) for name, image in images.items())
+    return images, {name: LayerSpec(name, name, "group", "scalar", parts, planes) for name, parts, planes in listed}
 
 
 def test_layers_as_exr(tmp_path):
@@ -617,8 +613,7 @@ def test_layers_as_exr(tmp_path):
     assert paths == [folder / f"{name}.exr" for name in images] and sorted(paths) == sorted(folder.iterdir())
     channels = {"final": list("RGBA"), "one.named": ["depth"], "history.positions": ["1.x", "1.y", "2.x", "2.y"]}
     for name, image in images.items():
-        size = (2, 3) if name == "one.named" else (7, 5)
-        found = list(read_channels(folder / f"{name}.exr", channels.get(name, ["Y"]), name, size).values())
+        found = list(read_channels(folder / f"{name}.exr", channels.get(name, ["Y"]), name, (7, 5)).values())
         planes = np.moveaxis(image, 0, 2).reshape(5, 7, 4) if name == "history.positions" else image
         np.testing.assert_array_equal(np.stack(found, -1), planes.reshape(*planes.shape[:2], -1), name)
         assert found[0].dtype == np.float16 or name != "final"

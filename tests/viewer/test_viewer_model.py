@@ -158,7 +158,7 @@ def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):
         model.close()
 
 
-def test_a_layer_is_never_compared_with_itself(session):
+def test_what_is_compared_with_itself_is_named(session):
     model, comparison = session.model, session.model.comparison
     comparison.toggle_truth()
     comparison.toggle("error")
@@ -168,10 +168,6 @@ def test_a_layer_is_never_compared_with_itself(session):
     assert "same layer" in comparison.scale_text()
     comparison.set("flip error")
     assert model.view.b == "final" and not comparison.nothing
-
-
-def test_settings_compared_with_themselves_are_named(session):
-    model, comparison = session.model, session.model.comparison
     model.sides.keep()
     comparison.set("difference")
     session.settle()
@@ -326,17 +322,17 @@ def test_a_damaged_option_costs_only_itself():
         assert restored({"crack_closing": False} | damaged) == Options(crack_closing=False, **ALWAYS)
 
 
-@pytest.mark.parametrize("render_size, factor", [((32, 20), 2.0), ((64, 40), 1.0), ((77, 48), 1.0)])
-def test_a_sequence_is_upscaled_by_what_it_was_rendered_for(render_size, factor):
-    parameters = Parameters(Options(upscale=3.0), Playback())
-    parameters.open(SimpleNamespace(live=True, width=64, height=40, render_size=(64, 40), options=None))
-    assert parameters.options.upscale == 3
-    parameters.open(SimpleNamespace(live=False, width=64, height=40, render_size=render_size, options=None))
-    assert parameters.options.upscale == factor
-    parameters.set("upscale", 2.5)
-    assert parameters.options.upscale == factor
-    parameters.switch("upscale", False)
-    assert parameters.options.upscale == 0
+def test_a_sequence_is_upscaled_by_what_it_was_rendered_for():
+    for render_size, factor in (((32, 20), 2.0), ((64, 40), 1.0), ((77, 48), 1.0)):
+        parameters = Parameters(Options(upscale=3.0), Playback())
+        parameters.open(SimpleNamespace(live=True, width=64, height=40, render_size=(64, 40)))
+        assert parameters.options.upscale == 3
+        parameters.open(SimpleNamespace(live=False, width=64, height=40, render_size=render_size))
+        assert parameters.options.upscale == factor
+        parameters.set("upscale", 2.5)
+        assert parameters.options.upscale == factor
+        parameters.switch("upscale", False)
+        assert parameters.options.upscale == 0
 
 
 def test_modules_and_parameters_come_from_the_descriptions(session):
