@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 37_622,
     "viewer": 11_998,
     "kernels": 10_185,
-    "tests": 28_035,
+    "tests": 28_015,
     "docs/tools": 3_586,
     "docs/examples": 1_822,
     "docs/*.md": 4_390,

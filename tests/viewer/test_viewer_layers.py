@@ -7,17 +7,10 @@ import numpy as np
 import pytest
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, layer_of, layers_of
+from gffe_cl.engine.pipeline.outputs import FILLINGS, STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
-from gffe_cl.engine.stages.base import Stage
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, Sizes
-from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.history import HistoryTracking, PositionPrediction
-from gffe_cl.engine.stages.holes import Downsampled
-from gffe_cl.engine.stages.network import NetworkInput
-from gffe_cl.engine.stages.presentation import Presentation
-from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs
-from gffe_cl.engine.stages.warp import Connectivity
 from gffe_cl.viewer.engine.jobs import Jobs
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.displays import (
@@ -39,21 +32,13 @@ from gffe_cl.viewer.picture.view import View
 from gffe_cl.viewer.state.captions import legend, value_text
 
 DEPTH, MOTION, FINAL = (FRAME_LAYERS[name] for name in ("rendered.depth", "rendered.motion", "final"))
-STAGES: tuple[type[Stage], ...] = (
-    HistoryTracking,
-    PositionPrediction,
-    Connectivity,
-    Presentation,
-    Downsampled,
-    ShadingInputs,
-    NetworkInput,
-    ShadingFlow,
-    ShadingCorrection,
-)
-SPECS = [layer_of(stage.name, spec) for stage in STAGES for spec in stage.buffers if spec.grid != "once"]
-SPECS += [layer_of("frame", spec) for spec in EXTRAPOLATED]
-SPECS += [layer_of(Background.name, spec) for spec in _level_buffers(1)]
-BY_NAME = {spec.name: spec for spec in SPECS} | FRAME_LAYERS
+BUFFERS = [
+    (stage.name, spec)
+    for stage in (*STAGES, *filter(None, FILLINGS.values()))
+    for spec in (_level_buffers(1) if stage is Background else stage.buffers)
+    if spec.grid != "once"
+] + [("frame", spec) for spec in EXTRAPOLATED]
+BY_NAME = {layer.name: layer for layer in (layer_of(*of) for of in BUFFERS)} | FRAME_LAYERS
 CAMERA = Camera(np.eye(4), 100.0, 110.0, 32.0, 24.0)
 
 
@@ -305,14 +290,9 @@ def test_value_texts(name, values, text):
 
 
 def test_every_buffer_of_the_stages_has_a_display_and_texts():
-    sizes = Sizes((64, 48), (64, 48))
-    stages = [*STAGES, Background]
-    for stage in stages:
-        buffers = _level_buffers(1) if stage is Background else stage.buffers
-        for buffer in (spec for spec in buffers if spec.grid != "once"):
-            spec, array = layer_of(stage.name, buffer), np.ones(buffer.shape(sizes), buffer.dtype)
-            assert isinstance(spec, LayerSpec)
-            for channel in spec.channels:
-                display = fitted(spec, array, replace(default_display(spec), channel=channel), FrameInfo((64, 48)))
-                assert legend(spec, display).kind in ("none", "ramp", "wheel")
-            assert value_text(spec, array[:, 0, 0] if spec.planes > 1 else array[0, 0])
+    for stage, buffer in BUFFERS:
+        spec, array = layer_of(stage, buffer), np.ones(buffer.shape(Sizes((64, 48), (64, 48))), buffer.dtype)
+        for channel in spec.channels:
+            display = fitted(spec, array, replace(default_display(spec), channel=channel), FrameInfo((64, 48)))
+            assert legend(spec, display).kind in ("none", "ramp", "wheel")
+        assert value_text(spec, array[:, 0, 0] if spec.planes > 1 else array[0, 0])
