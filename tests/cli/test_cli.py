@@ -396,7 +396,7 @@ def test_one_signal_ends_every_command(tmp_path, command):
     words = [sys.executable, "-m", "gffe_cl", command, *ENDLESS[command]]
     child = subprocess.Popen(words, cwd=tmp_path, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
     with pytest.raises(subprocess.TimeoutExpired):
-        child.wait(timeout=1 if command == "devices" else 4)
+        child.wait(timeout=1 if command in ("devices", "export") else 4)
     child.send_signal(signal.SIGTERM)
     try:
         assert "interrupted" in child.communicate(timeout=5)[1] and child.returncode in (130, -signal.SIGINT)

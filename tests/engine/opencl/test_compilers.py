@@ -329,6 +329,7 @@ EXCESSES = {
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
     ("warp.splat", "sm_86", "registers"): ("silhouettes ask the background; two registers too many", ""),
+    ("silhouettes.soften", "sm_86", "registers"): ("tests of the border once, which SIMD16 on Intel's needs", ""),
     ("prediction.predict_positions", "dg2-g10", "SIMD8"): ("most see no mover", ""),
     ("frame_block.set_frame", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
     ("prediction.predict_positions", "gfx1030", "memory"): ("one work-item copies a kilobyte of arguments", "clang-19"),
@@ -353,13 +354,14 @@ def exceeded(gpu, cost):
 @pytest.mark.long
 @pytest.mark.parametrize("kind", COMPILERS, ids=lambda kind: kind.vendor)
 def test_kernels_keep_the_budget_of_gpus(kind):
-    """In the form that most GPUs get. An exception that is no longer needed must go."""
+    """In the form that most GPUs get, stories apart: they run for one pixel. An exception that is no longer needed must
+    go."""
     programs, version = built(kind), compiler_of(kind).version
     gpus = {one.gpu for one in programs}
     found = {
         (f"{one.program}.{kernel}", one.gpu, budget)
         for one in programs
-        if one.form == next(iter(forms(expand(f"{one.program}.cl"))))
+        if one.form == next(iter(forms(expand(f"{one.program}.cl")))) and not one.program.startswith("stories/")
         for kernel, cost in one.costs.items()
         for budget in exceeded(one.gpu, cost)
     }
