@@ -8,12 +8,12 @@
 #define KNEE 3.0f /* with 3 the slope is continuous at w; less compresses more */
 
 /* For colors of type F with the square root `roots`. */
-#define DEFINE_COLOR_CODE(F, roots, encode, decode)                                                                    \
+#define DEFINE_COLOR_CODE(F, roots, some, encode, decode)                                                              \
     INLINE F encode(const F c, const float offset) {                                                                   \
         const F size = fabs(c), root = roots(size);                                                                    \
         const float white_root = 2.0f * offset, below = (KNEE - 1.0f) * white_root * white_root;                       \
         F code = 0.5f * size + offset * root;                                                                          \
-        if (any(root > white_root))                                                                                    \
+        if (some(root > white_root))                                                                                   \
             code = root > white_root ? KNEE * white_root * roots(white_root * root) - below : code;                    \
         return offset > 0.0f ? copysign(code, c) : c;                                                                  \
     }                                                                                                                  \
@@ -22,13 +22,13 @@
         const float white_root = 2.0f * offset, white = white_root * white_root;                                       \
         const F sum = size + (KNEE - 1.0f) * white;                                                                    \
         F root = roots(2.0f * size + offset * offset) - offset;                                                        \
-        if (any(size > white))                                                                                         \
+        if (some(size > white))                                                                                        \
             root = size > white ? sum * sum * divide(1.0f / (KNEE * KNEE), white * white_root) : root;                 \
         return offset > 0.0f ? copysign(root * root, code) : code;                                                     \
     }
 
 DEFINE_ROOT(float3, roots)
-DEFINE_COLOR_CODE(float3, roots, encode_color, decode_color)
+DEFINE_COLOR_CODE(float3, roots, any, encode_color, decode_color)
 
 /* The code of pixel i of the codes that are stored (color_code.cl), which are finite. */
 INLINE float3 stored_code(__global const half *codes, const int i) { return load_texel(i, codes).xyz; }

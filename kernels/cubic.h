@@ -48,7 +48,7 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
 /* The sum, of type F, over taps in these columns and rows of an image, of finite numbers, clamped to the four inner
    taps. A column at a time: all of them at once take 48 registers of a GPU. Where the inner taps are of an edge that
    goes on, from one side of them to the other, the sum moves away from the middle of the pairs of outer taps. */
-#define DEFINE_CUBIC(F, Image, load, of, cubic)                                                                        \
+#define DEFINE_CUBIC(F, Image, load, of, some, cubic)                                                                  \
     INLINE F cubic(const int *columns, const int *rows, const Cubic *w, const int k, Image image) {                    \
         F total, low, high, above, below, left; /* sums of the outer taps on each side */                              \
         _Pragma("unroll") for (int n = 0; n < 4; ++n) { /* the inner columns first, which need most registers */       \
@@ -68,17 +68,18 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
             }                                                                                                          \
             total = n == 0 ? of(w->x[tx], k) * column : total + of(w->x[tx], k) * column;                              \
             if (n == 3 && w->sharp.edges) {                                                                            \
-                const F right = b + c;                                                                                 \
-                const float dull = LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                                              \
-                const F range = high - low, one = fabs(right - left), other = fabs(below - above);                     \
-                const F least_x = left < right ? left : right, most_x = left < right ? right : left;                   \
-                const F least_y = above < below ? above : below, most_y = above < below ? below : above;               \
-                const F middle =                                                                                       \
-                    0.25f * ((least_x < least_y ? least_x : least_y) + (most_x < most_y ? most_y : most_x));           \
-                const F goes_on = 0.5f * (one < other ? other : one) - GOES_ON * range;                                \
-                const F edge = clamp(range * w->sharp.per_range - dull, 0.0f, 1.0f)                                    \
-                               * clamp(goes_on * w->sharp.per_range, 0.0f, 1.0f);                                      \
-                total -= of(w->steeper, k) * edge * (middle - total);                                                  \
+                const F right = b + c, range = high - low;                                                             \
+                const F seen = range * w->sharp.per_range - LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                     \
+                if (some(seen > 0.0f)) {                                                                               \
+                    const F one = fabs(right - left), other = fabs(below - above);                                     \
+                    const F least_x = left < right ? left : right, most_x = left < right ? right : left;               \
+                    const F least_y = above < below ? above : below, most_y = above < below ? below : above;           \
+                    const F middle =                                                                                   \
+                        0.25f * ((least_x < least_y ? least_x : least_y) + (most_x < most_y ? most_y : most_x));       \
+                    const F goes_on = 0.5f * (one < other ? other : one) - GOES_ON * range;                            \
+                    const F edge = clamp(seen, 0.0f, 1.0f) * clamp(goes_on * w->sharp.per_range, 0.0f, 1.0f);          \
+                    total -= of(w->steeper, k) * edge * (middle - total);                                              \
+                }                                                                                                      \
             }                                                                                                          \
         }                                                                                                              \
         const F raised = total < low ? low : total;                                                                    \
@@ -88,9 +89,9 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
 /* Of the pixel of lane k; and of those of part k, whose taps lie in rows. */
 #define OF_LANE(v, k) ((float4)(float_of(&(v), k)))
 #define load_run(i, image) load_texels(0, (image) + 4 * (i))
-DEFINE_CUBIC(float4, __global const half *, load_texel, OF_LANE, cubic_of_lane)
+DEFINE_CUBIC(float4, __global const half *, load_texel, OF_LANE, any, cubic_of_lane)
 #if LANES == 8
-DEFINE_CUBIC(Texels, __global const half *, load_run, OF_TEXELS, cubic_of_run)
+DEFINE_CUBIC(Texels, __global const half *, load_run, OF_TEXELS, ANY_TEXELS, cubic_of_run)
 #else
 #define cubic_of_run cubic_of_lane
 #endif

@@ -4,7 +4,7 @@
 #include "color_code.h"
 
 DEFINE_ROOT(Texels, texel_roots)
-DEFINE_COLOR_CODE(Texels, texel_roots, encode_texels, decode_texels)
+DEFINE_COLOR_CODE(Texels, texel_roots, ANY_TEXELS, encode_texels, decode_texels)
 
 /* Encodes `count` colors, at most LANES, from pixel `src` on. NaN counts as 0, infinities are clamped. */
 INLINE void encode_run(const int count, const int src, const float code_offset, __global const half *color,

@@ -34,7 +34,8 @@ INLINE float luma(const int i, const Shown image) {
 }
 
 #define OF_SAMPLE(v, k) float_of(&(v), k)
-DEFINE_CUBIC(float, const Shown, luma, OF_SAMPLE, cubic_luma)
+#define IS_TRUE(condition) (condition)
+DEFINE_CUBIC(float, const Shown, luma, OF_SAMPLE, IS_TRUE, cubic_luma)
 
 /* Adds a sample at (x, y): `sums` by EXPLAINED and CHANGED. */
 INLINE void compare(const int x, const int y, __constant Frame *frame, __global const half *color,

@@ -18,8 +18,8 @@ typedef float8 Floats;
 typedef int8 Ints;    /* of conditions: -1 or 0 */
 typedef uint8 Uints;
 typedef uchar8 Bytes;
-#define ANY(condition) any(condition)
-#define ALL(condition) all(condition)
+#define ANY(condition) any_of_lanes(condition)
+#define ALL(condition) (!any_of_lanes(~(condition)))
 #define load_floats vload8
 #define load_bytes vload8
 #define load_uints(i, p) vload8(i, p)
@@ -58,16 +58,20 @@ typedef uchar16 BytePairs;
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
 
-/* Halves of any place. PoCL 3.1 takes those that vload_half8 and vload_half16 get for aligned ones, as copies are. */
+/* Whether any lane is -1: two instructions, where PoCL makes a test and a jump per lane of any(). */
+INLINE bool any_of_lanes(const int8 condition) {
+    const ulong4 bits = as_ulong4(condition);
+    return ((bits.x | bits.y) | (bits.z | bits.w)) != 0;
+}
+
+/* Halves of any place. PoCL 3.1 takes those that vload_half8 gets for aligned ones, as copies are; its vload_half16
+   converts them by parts of 4. */
 INLINE float8 load_halfs8(__global const half *p) {
     const ushort8 bits = vload8(0, (__global const ushort *)p);
     return vload_half8(0, (const half *)&bits);
 }
 
-INLINE float16 load_halfs16(__global const half *p) {
-    const ushort16 bits = vload16(0, (__global const ushort *)p);
-    return vload_half16(0, (const half *)&bits);
-}
+INLINE float16 load_halfs16(__global const half *p) { return (float16)(load_halfs8(p), load_halfs8(p + 8)); }
 
 INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     const float16 xy = vload16(0, (__global const float *)p);

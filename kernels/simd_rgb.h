@@ -28,7 +28,8 @@ typedef float16 Texels;
 #define VALID(texels) (texels).s37bf  /* the fourth channel */
 #define OF_TEXELS(v, part)                                                                                             \
     ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number of each pixel for its channels */
-#define ALL_TEXELS(condition) all(condition)
+#define ANY_TEXELS(condition) any_of_lanes((condition).lo | (condition).hi)
+#define ALL_TEXELS(condition) (!any_of_lanes(~((condition).lo & (condition).hi)))
 #define load_texels(i, p) load_four_texels(4 * (i), p)
 #define reload_texels(i, p) vload16(i, p)
 #define unload_texels(v, i, p) vstore16(v, i, p)
@@ -37,10 +38,15 @@ typedef float16 Texels;
 #define THREE_TO_FOUR(v) ((v).s0120345067809ab0) /* three numbers after the other, each as a texel */
 /* Whether a condition holds for all lanes of a part; and the pixels that would follow each part's first one in a row.
  */
-#define ALL_OF_PART(condition, part) all((part) ? (condition).hi : (condition).lo)
+#define ALL_OF_PART(condition, part) all_of_half((part) ? (condition).hi : (condition).lo)
 #define ROWS_OF_PARTS(pixels) ((int8)((int4)((pixels).s0), (int4)((pixels).s4 - 4)) + LANE_NUMBERS)
 
 DEFINE_FINITE(Texels, finite_texels)
+
+INLINE bool all_of_half(const int4 condition) {
+    const ulong2 bits = as_ulong2(condition);
+    return (bits.x & bits.y) == ~0UL;
+}
 
 INLINE void store_texels(const Texels c, const int i, __global half *color) {
     vstore_half16_rte(finite_texels(c), i, color);
@@ -52,7 +58,7 @@ INLINE Texels gather_texels(__global const half *image, const Ints i, const int 
     const int4 at = part ? i.hi : i.lo;
     const ulong4 four =
         in_row ? vload4(0, texels + at.x) : (ulong4)(texels[at.x], texels[at.y], texels[at.z], texels[at.w]);
-    return vload_half16(0, (const half *)&four);
+    return (float16)(vload_half8(0, (const half *)&four), vload_half8(1, (const half *)&four));
 }
 
 #else
@@ -66,6 +72,7 @@ typedef float4 Texels;
 #define PARTS 1
 #define VALID(texels) (texels).w
 #define OF_TEXELS(v, part) ((void)(part), (float4)(v))
+#define ANY_TEXELS(condition) any(condition)
 #define ALL_TEXELS(condition) all(condition)
 #define load_texels(i, p) load_texel(i, p)
 #define reload_texels(i, p) vload4(i, p)
