@@ -14,15 +14,10 @@
 #define MIXES_IN 0.9f /* times the depth of a fragment: the color of what is nearer may be mixed with its own */
 #define REACH 2 /* px around a pixel that are looked at */
 
-/* Depth of the pixels at an offset, NaN outside of the image; and whether they are dynamic, 0 outside. */
+/* Depth of the pixels at an offset, NaN outside of the image. */
 INLINE Floats depth_beside(const Span p, __global const float *depth, const int dx, const int dy) {
     const Floats z = beside(p, depth, dx, dy);
     return is_inside(p, dx, dy) ? z : (Floats)(NAN);
-}
-
-INLINE Ints dynamic_beside(const Span p, __global const uchar *dynamic_mask, const int dx, const int dy) {
-    const Ints dynamic = bytes_beside(p, dynamic_mask, dx, dy);
-    return is_inside(p, dx, dy) ? dynamic : (Ints)(0);
 }
 
 /* Whether the inverse depth of a plane, which is linear, goes on from a2 over a to b; multiplied by all three depths.
@@ -31,25 +26,33 @@ INLINE Ints is_plane(const Floats a2, const Floats a, const Floats b, const Floa
     return (a2 > 0.0f) & (a2 < INFINITY) & (fabs((a2 - a) * b - (a - b) * a2) < SURFACE_CURVATURE * most * a2);
 }
 
-/* Whether b, next to a, continues a's surface; a2 lies behind a, b2 behind b. Depths. */
-INLINE Ints continues(const Floats a2, const Floats a, const Floats b, const Floats b2) {
-    const Floats most = a > b ? a : b;
-    const Ints near = (fabs(a - b) <= SURFACE_STEP * most) | is_plane(a2, a, b, most) | is_plane(b2, b, a, most);
-    return (a > 0.0f) & (b > 0.0f) & (most < INFINITY ? near : a == b);
-}
-
-/* Links to the neighbors of the same surface that are equally static or dynamic. */
-INLINE Ints links_of(const Span p, __global const float *depth, __global const uchar *dynamic_mask) {
+/* Links to the neighbors of the same surface, whose depth is near or, where it is steeper, goes on. */
+INLINE Ints links_of(const Span p, __global const float *depth) {
     const Floats z = depth_beside(p, depth, 0, 0);
-    const Ints own = dynamic_beside(p, dynamic_mask, 0, 0);
     Ints links = 0;
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
         const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
-        const Ints linked = continues(depth_beside(p, depth, -dx, -dy), z, depth_beside(p, depth, dx, dy),
-                                      depth_beside(p, depth, 2 * dx, 2 * dy))
-                            & (dynamic_beside(p, dynamic_mask, dx, dy) == own);
+        const Floats b = depth_beside(p, depth, dx, dy), most = z > b ? z : b;
+        const Ints steep = (z > 0.0f) & (b > 0.0f) & (most < INFINITY) & !(fabs(z - b) <= SURFACE_STEP * most);
+        Ints linked = (z > 0.0f) & (b > 0.0f) & !steep & ((most < INFINITY) | (z == b));
+        if (ANY(steep))
+            linked |= steep
+                      & (is_plane(depth_beside(p, depth, -dx, -dy), z, b, most)
+                         | is_plane(depth_beside(p, depth, 2 * dx, 2 * dy), b, z, most));
         links |= linked ? (Ints)(LINK_RIGHT << k) : (Ints)(0);
+    }
+    return links;
+}
+
+/* Links to the neighbors that are equally static or dynamic. */
+INLINE Ints links_by_motion(const Span p, __global const uchar *dynamic_mask) {
+    const Ints own = bytes_beside(p, dynamic_mask, 0, 0);
+    Ints links = 0;
+#pragma unroll
+    for (int k = 0; k < 4; ++k) {
+        const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
+        links |= bytes_beside(p, dynamic_mask, dx, dy) == own ? (Ints)(LINK_RIGHT << k) : (Ints)(0);
     }
     return links;
 }
@@ -67,15 +70,20 @@ typedef struct {
 INLINE void find(const Span p, __global const float *depth, __global const uchar *dynamic_mask, const int collect,
                  __global uchar *links, const Collecting to) {
     const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);
-    store_some_bytes(to_bytes(links_of(p, depth, dynamic_mask)), count, links + i);
-    if (!collect) return;
     const Floats z = depth_beside(p, depth, 0, 0);
-    Ints moving = 0, mixed = 0;
+    Floats nearest = z;
+    Ints moving = 0;
 #pragma unroll
     for (int k = 0; k < 9; ++k) {
-        moving |= dynamic_beside(p, dynamic_mask, k % 3 - 1, k / 3 - 1);
-        mixed |= depth_beside(p, depth, k % 3 - 1, k / 3 - 1) < z * MIXES_IN;
+        const Floats beside = depth_beside(p, depth, k % 3 - 1, k / 3 - 1);
+        nearest = beside < nearest ? beside : nearest;
+        moving |= bytes_beside(p, dynamic_mask, k % 3 - 1, k / 3 - 1);
     }
+    Ints linked = links_of(p, depth);
+    if (ANY(moving != 0)) linked &= links_by_motion(p, dynamic_mask);
+    store_some_bytes(to_bytes(linked), count, links + i);
+    if (!collect) return;
+    const Ints mixed = nearest < z * MIXES_IN;
     const Ints settled = (z > 0.0f) & (moving == 0), clean = settled & !mixed;
     const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
     store_some_bytes(to_bytes(state), count, to.levels_state + i);
