@@ -107,6 +107,7 @@ class Background(NearestStage):
                 "motion": "frame.motion",
                 "filled_by": "frame.filled_by",
             },
+            step=("LANES", 1),
             group="WALK_GROUP",
         ),
     )

@@ -90,6 +90,7 @@ class HiddenParts(NearestStage):
             }
             | _KEYS,
             {name: f"frame.{name}" for name in ("color", "depth", "motion")} | {"is_dynamic": "frame.dynamic"},
+            step=("LANES", 1),
             group="WALK_GROUP",
         ),
     )
@@ -172,6 +173,7 @@ class Downsampled(HoleFilling):
             "walk",
             {"open": "warp.open", "filled_by": "frame.filled_by"} | _SUMS,
             _FILLED,
+            step=("LANES", 1),
             group="WALK_GROUP",
         ),
     )
@@ -198,6 +200,7 @@ class FarSide(HoleFilling):
             }
             | _IMAGE,
             _FILLED,
+            step=("LANES", 1),
             group="WALK_GROUP",
         ),
     )

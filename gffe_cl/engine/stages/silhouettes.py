@@ -83,6 +83,7 @@ class Silhouettes(Stage):
                 "softened": "silhouettes.softened",
             },
             {"color": "frame.color"},
+            step=("LANES", 1),
             group="WALK_GROUP",
         ),
     )
