@@ -26,9 +26,11 @@ INLINE Ints is_plane(const Floats a2, const Floats a, const Floats b, const Floa
     return (a2 > 0.0f) & (a2 < INFINITY) & (fabs((a2 - a) * b - (a - b) * a2) < SURFACE_CURVATURE * most * a2);
 }
 
-/* Links to the neighbors of the same surface, whose depth is near or, where it is steeper, goes on. */
-INLINE Ints links_of(const Span p, __global const float *depth) {
+/* Links to the neighbors of the same surface, whose depth is near or, where it is steeper, goes on; if any of them
+   `moves`, to those that are equally static or dynamic. */
+INLINE Ints links_of(const Span p, __global const float *depth, __global const uchar *dynamic_mask, const bool moves) {
     const Floats z = depth_beside(p, depth, 0, 0);
+    const Ints own = moves ? bytes_beside(p, dynamic_mask, 0, 0) : (Ints)(0);
     Ints links = 0;
 #pragma unroll
     for (int k = 0; k < 4; ++k) {
@@ -40,19 +42,8 @@ INLINE Ints links_of(const Span p, __global const float *depth) {
             linked |= steep
                       & (is_plane(depth_beside(p, depth, -dx, -dy), z, b, most)
                          | is_plane(depth_beside(p, depth, 2 * dx, 2 * dy), b, z, most));
+        if (moves) linked &= bytes_beside(p, dynamic_mask, dx, dy) == own;
         links |= linked ? (Ints)(LINK_RIGHT << k) : (Ints)(0);
-    }
-    return links;
-}
-
-/* Links to the neighbors that are equally static or dynamic. */
-INLINE Ints links_by_motion(const Span p, __global const uchar *dynamic_mask) {
-    const Ints own = bytes_beside(p, dynamic_mask, 0, 0);
-    Ints links = 0;
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-        const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
-        links |= bytes_beside(p, dynamic_mask, dx, dy) == own ? (Ints)(LINK_RIGHT << k) : (Ints)(0);
     }
     return links;
 }
@@ -79,12 +70,9 @@ INLINE void find(const Span p, __global const float *depth, __global const uchar
         nearest = beside < nearest ? beside : nearest;
         moving |= bytes_beside(p, dynamic_mask, k % 3 - 1, k / 3 - 1);
     }
-    Ints linked = links_of(p, depth);
-    if (ANY(moving != 0)) linked &= links_by_motion(p, dynamic_mask);
-    store_some_bytes(to_bytes(linked), count, links + i);
+    store_some_bytes(to_bytes(links_of(p, depth, dynamic_mask, ANY(moving != 0))), count, links + i);
     if (!collect) return;
-    const Ints mixed = nearest < z * MIXES_IN;
-    const Ints settled = (z > 0.0f) & (moving == 0), clean = settled & !mixed;
+    const Ints settled = (z > 0.0f) & (moving == 0), clean = settled & !(nearest < z * MIXES_IN);
     const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
     store_some_bytes(to_bytes(state), count, to.levels_state + i);
     if (ALL(settled)) return;

@@ -142,33 +142,31 @@ INLINE void unmix(const Span p, const Depths *d, __global const half *codes, __g
         }
     }
     const Ints is_near = d->z[4] < d->middle;
-    Strip own_strip;
-    colors_beside(p, codes, 0, 0, &own_strip);
-    Floats near[4], far[4], own[4];
-    channels_of(&near_sum, near);
-    channels_of(&far_sum, far);
-    channels_of(&own_strip, own);
-    const Floats per_near = wide_divide((Floats)(1.0f), near[3]), per_far = wide_divide((Floats)(1.0f), far[3]);
+    Strip middle;
+    colors_beside(p, codes, 0, 0, &middle);
+    const Wide4 own = channels_of(&middle);
+    Wide4 near = channels_of(&near_sum), far = channels_of(&far_sum);
+    const Floats per_near = wide_divide((Floats)(1.0f), near.c[3]), per_far = wide_divide((Floats)(1.0f), far.c[3]);
     Floats size = 0.0f, squared = 0.0f, along = 0.0f;
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
-        near[c] *= per_near;
-        far[c] *= per_far;
-        size = fmax(size, fmax(near[c], far[c]));
+        near.c[c] *= per_near;
+        far.c[c] *= per_far;
+        size = fmax(size, fmax(near.c[c], far.c[c]));
     }
     const Floats scale = wide_divide((Floats)(1.0f), 1e-4f + size);
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
-        const Floats relative = (near[c] - far[c]) * scale;
+        const Floats relative = (near.c[c] - far.c[c]) * scale;
         squared += relative * relative;
-        along += (own[c] - far[c]) * scale * relative;
+        along += (own.c[c] - far.c[c]) * scale * relative;
     }
     const Floats low = is_near ? (Floats)(0.5f) : (Floats)(0.0f);
     const Floats coverage = squared > 0.0f ? clamp(wide_divide(along, squared), low, low + 0.5f) : (Floats)(0.5f);
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
-        u->far[c] = far[c];
-        u->behind[c] = is_near ? far[c] : own[c] - coverage * (near[c] - far[c]);
+        u->far[c] = far.c[c];
+        u->behind[c] = is_near ? far.c[c] : own.c[c] - coverage * (near.c[c] - far.c[c]);
     }
     u->share = coverage;
     u->contrast = squared;
@@ -208,12 +206,12 @@ INLINE void find_layers(const int src_x, const int src_y, __constant Frame *fram
         return;
     }
     const Source s = source_of(frame, target_position, codes);
-    Span p = {src_x, src_y, source_width, source_height, false};
+    Span p = span_at(src_x, src_y, source_width, source_height);
     Depths d;
     Ints part = to_ints(load_some_bytes(count, links + src)) != ALL_LINKS;
     Unmixed u;
     if (ANY(part)) {
-        if (src_x >= 1 && src_y >= 1 && src_x + LANES < source_width && src_y + 1 < source_height) {
+        if (p.inner) {
             p.inner = true;
             part &= layers_part(p, s, depth, &d);
             if (ANY(part)) unmix(p, &d, codes, links, &u);

@@ -64,11 +64,9 @@ INLINE Strip lifted_rows(const Strip top, const Strip bottom, const float4 law) 
 
 /* Means over 2x2 pixels, encoded: three planes of the network's input. */
 INLINE void store_colors(const Products products, const float4 law, const int plane_size, __global float *planes) {
-    Floats first[4], second[4];
-    channels_of(&products.left, first);
-    channels_of(&products.right, second);
+    const Wide4 first = channels_of(&products.left), second = channels_of(&products.right);
     for (int c = 0; c < 3; ++c) {
-        const Floats left = EVEN_OF(first[c], second[c]), right = ODD_OF(first[c], second[c]);
+        const Floats left = EVEN_OF(first.c[c], second.c[c]), right = ODD_OF(first.c[c], second.c[c]);
         store_floats(0.25f * law.y * log_of_product(left, right), 0, planes + c * plane_size);
     }
 }

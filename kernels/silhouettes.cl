@@ -257,8 +257,7 @@ INLINE Ints may_be_mixed(const Span p, const Source s, const Layers l, const Sho
    of a far one. */
 INLINE Ints find_soft(const int dst_x, const int dst_y, const Source s, const Layers l, const Shown f,
                       LayerPairs *pairs, Ints *paired) {
-    Span p = {dst_x, dst_y, f.width, f.height, false};
-    p.inner = dst_x >= 1 && dst_y >= 1 && dst_x + LANES < f.width && dst_y + 1 < f.height;
+    Span p = span_at(dst_x, dst_y, f.width, f.height);
     if (LANES > 1 && p.inner) { /* without tests of the border; a single lane has no registers for both */
         p.inner = true;
         *paired = find_pairs(p, s, f, pairs);

@@ -8,7 +8,7 @@
      repeat the last pixel, stores skip the rest.
    - wide_X is X of common.h for all lanes, with the same bits (wide_reproject_roughly: nearly). A rare pixel goes
      through the function of one pixel, lane by lane.
-   - RUN bytes (16 on CPUs, 1 on GPUs) are for kernels that scan masks and find little to do. */
+   - RUN bytes of masks at once are for kernels that find little to do: whether all are 0, whether any has a value. */
 
 #if LANES == 8
 
@@ -47,6 +47,7 @@ typedef uchar16 BytePairs;
 #define load_in_turns(p, q, x) ((float8)(vload4(0, (p) + (x) / 2), vload4(0, (q) + (x) / 2)).s04152637)
 #define LANE_NUMBERS ((int8)(0, 1, 2, 3, 4, 5, 6, 7))
 #define ALL_LANES ((int8)(-1))
+#define RUN 16
 #define load_two_texels(i, image) load_halfs8((image) + 4 * (i))
 #define load_four_texels(i, image) load_halfs16((image) + 4 * (i))
 #define FIRST_LANE(v) ((v).s0)
@@ -72,6 +73,16 @@ INLINE float8 load_halfs8(__global const half *p) {
 }
 
 INLINE float16 load_halfs16(__global const half *p) { return (float16)(load_halfs8(p), load_halfs8(p + 8)); }
+
+INLINE bool run_is_zero(__global const uchar *p) {
+    const ulong2 bits = as_ulong2(vload16(0, p));
+    return (bits.x | bits.y) == 0;
+}
+
+INLINE bool run_has(__global const uchar *p, const uchar value) {
+    const ulong2 equal = as_ulong2(vload16(0, p) == (uchar16)(value));
+    return (equal.x | equal.y) != 0;
+}
 
 INLINE Floats load_xy(__global const float2 *p, Floats *y) {
     const float16 xy = vload16(0, (__global const float *)p);
@@ -125,10 +136,14 @@ typedef uchar2 BytePairs;
 #define load_in_turns(p, q, x) (((x) & 1 ? q : p)[(x) / 2])
 #define LANE_NUMBERS 0
 #define ALL_LANES 1
+#define RUN 1
 #define FIRST_LANE(v) (v)
 #define LAST_LANE(v) (v)
 #define gather_floats(p, i) ((p)[i])
 #define gather_bytes(p, i) ((p)[i])
+
+INLINE bool run_is_zero(__global const uchar *p) { return *p == 0; }
+INLINE bool run_has(__global const uchar *p, const uchar value) { return *p == value; }
 
 INLINE float8 load_two_texels(const int i, __global const half *image) {
     return (float8)(load_texel(i, image), load_texel(i + 1, image));
@@ -164,24 +179,6 @@ INLINE Floats wide_greater(const Floats a, const Floats b) { return a < b ? b : 
 INLINE Floats within_limits(const Floats x, const Floats least, const Floats most) {
     return wide_lesser(wide_greater(x, least), most);
 }
-
-/* RUN bytes at once, 16 on CPUs and 1 on GPUs, for kernels that find little to do: whether all of them are 0,
-   whether any has a value. */
-#if RUN == 16
-#define SCAN __attribute__((vec_type_hint(uchar16)))  /* before such a kernel */
-INLINE bool run_is_zero(__global const uchar *p) {
-    const ulong2 bits = as_ulong2(vload16(0, p));
-    return (bits.x | bits.y) == 0;
-}
-INLINE bool run_has(__global const uchar *p, const uchar value) {
-    const ulong2 equal = as_ulong2(vload16(0, p) == (uchar16)(value));
-    return (equal.x | equal.y) != 0;
-}
-#else
-#define SCAN
-INLINE bool run_is_zero(__global const uchar *p) { return *p == 0; }
-INLINE bool run_has(__global const uchar *p, const uchar value) { return *p == value; }
-#endif
 
 /* Whether all lanes are among the `count` pixels that are left of a row, which are at least one. With one lane it is
    a constant: GPUs need no other path. */

@@ -92,23 +92,14 @@ typedef struct {
     Texels part[PARTS];
 } Strip;
 
-INLINE void channels_of(const Strip *s, Floats *channels) {
+INLINE Wide4 channels_of(const Strip *s) {
 #if LANES == 8
-    channels[0] = (float8)(s->part[0].s048c, s->part[1].s048c);
-    channels[1] = (float8)(s->part[0].s159d, s->part[1].s159d);
-    channels[2] = (float8)(s->part[0].s26ae, s->part[1].s26ae);
-    channels[3] = (float8)(s->part[0].s37bf, s->part[1].s37bf);
+    const Wide4 channels = {{(float8)(s->part[0].s048c, s->part[1].s048c), (float8)(s->part[0].s159d, s->part[1].s159d),
+                             (float8)(s->part[0].s26ae, s->part[1].s26ae),
+                             (float8)(s->part[0].s37bf, s->part[1].s37bf)}};
 #else
-    channels[0] = s->part[0].x;
-    channels[1] = s->part[0].y;
-    channels[2] = s->part[0].z;
-    channels[3] = s->part[0].w;
+    const Wide4 channels = {{s->part[0].x, s->part[0].y, s->part[0].z, s->part[0].w}};
 #endif
-}
-
-INLINE Wide4 channels_of_strip(const Strip *s) {
-    Wide4 channels;
-    channels_of(s, channels.c);
     return channels;
 }
 
@@ -135,7 +126,7 @@ INLINE void gather_strip(__global const half *image, const Ints i, Strip *s) {
 INLINE Wide4 gather_channels(__global const half *image, const Ints i) {
     Strip s;
     gather_strip(image, i, &s);
-    return channels_of_strip(&s);
+    return channels_of(&s);
 }
 
 /* The first `count` of LANES pixels, or all if it is more, as for load_some_floats of simd.h. */
@@ -163,7 +154,7 @@ INLINE void store_strip(const Strip s, const int count, __global half *color) {
 
 INLINE Wide4 load_some_channels(const int count, __global const half *image) {
     const Strip s = load_strip(count, image);
-    return channels_of_strip(&s);
+    return channels_of(&s);
 }
 
 INLINE void store_channels(const Wide4 c, const int count, __global half *image) {

@@ -6,7 +6,7 @@
 INLINE Wide4 channels_in(const float *texels) {
     Strip s;
     for (int part = 0; part < PARTS; ++part) s.part[part] = reload_texels(part, texels);
-    return channels_of_strip(&s);
+    return channels_of(&s);
 }
 
 /* Texels x to x + 3 of a row; beyond the image its border is repeated. */

@@ -148,19 +148,18 @@ INLINE void take(const int width, const int height, __global const float *given,
         Strip s;
         load_given(given, type, channels, row * width + x, count, &s);
         if (is_srgb) {
-            Wide4 rgb = channels_of_strip(&s);
+            Wide4 rgb = channels_of(&s);
             for (int c = 0; c < 3; ++c) rgb.c[c] = linear_of_srgb(rgb.c[c]);
             s = strip_of(rgb);
         }
         bool good = true;
         for (int part = 0; part < PARTS; ++part) good &= ALL_TEXELS(fabs(s.part[part]) <= COLOR_MAX);
         if (!good) {
-            Floats rgba[4];
+            const Wide4 rgb = channels_of(&s);
             Ints all_finite = ALL_LANES, over = 0;
-            channels_of(&s, rgba);
             for (int c = 0; c < 3; ++c) {
-                all_finite &= isfinite(rgba[c]);
-                over |= isfinite(rgba[c]) & (fabs(rgba[c]) > COLOR_MAX);
+                all_finite &= isfinite(rgb.c[c]);
+                over |= isfinite(rgb.c[c]) & (fabs(rgb.c[c]) > COLOR_MAX);
             }
             infinite += min(count, LANES) - lanes_where(all_finite, count);
             clamped += lanes_where(over, count);

@@ -182,7 +182,7 @@ WIDE __kernel void compare(__constant Frame *restrict frame, __global const half
 }
 
 /* Sums over 3x3 pixels, of the channels and of their squares. */
-INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, Floats *square) {
+INLINE void sums_beside(const Span p, __global const half *image, Wide4 *sum, Wide4 *square) {
     Strip sums, squares;
 #pragma unroll
     for (int part = 0; part < PARTS; ++part) sums.part[part] = squares.part[part] = (Texels)(0.0f);
@@ -196,8 +196,8 @@ INLINE void sums_beside(const Span p, __global const half *image, Floats *sum, F
             squares.part[part] += c.part[part] * c.part[part];
         }
     }
-    channels_of(&sums, sum);
-    channels_of(&squares, square);
+    *sum = channels_of(&sums);
+    *square = channels_of(&squares);
 }
 
 /* Colors around each rendered pixel, and how well the history foretold them: it may be darker or lighter than they are,
@@ -209,23 +209,24 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
     if (x >= source_width || y >= source_height) return;
     const Span p = span_at(x, y, source_width, source_height);
     const float ninth = 1.0f / 9.0f;
-    Floats middle[4], square[4], off[4], off_square[4], variance[3];
-    sums_beside(p, compressed, middle, square);
-    sums_beside(p, surprise, off, off_square);
+    Wide4 middle, square, off, off_square;
+    Floats variance[3];
+    sums_beside(p, compressed, &middle, &square);
+    sums_beside(p, surprise, &off, &off_square);
 #pragma unroll
     for (int c = 0; c < 3; ++c) {
-        middle[c] *= ninth;
-        variance[c] = wide_greater(square[c] * ninth - middle[c] * middle[c], (Floats)(0.0f));
+        middle.c[c] *= ninth;
+        variance[c] = wide_greater(square.c[c] * ninth - middle.c[c] * middle.c[c], (Floats)(0.0f));
     }
-    const Floats per_known = wide_divide((Floats)(1.0f), wide_greater(off[3], (Floats)(1.0f)));
-    const Floats bias = off[0] * per_known,
-                 scatter = wide_greater(off_square[0] * per_known - bias * bias, (Floats)(0.0f));
+    const Floats per_known = wide_divide((Floats)(1.0f), wide_greater(off.c[3], (Floats)(1.0f)));
+    const Floats bias = off.c[0] * per_known,
+                 scatter = wide_greater(off_square.c[0] * per_known - bias * bias, (Floats)(0.0f));
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
     const Floats missed = wide_greater(
-        (off_square[0] + off_square[1] + off_square[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
+        (off_square.c[0] + off_square.c[1] + off_square.c[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
     const Floats error =
         wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + COMPRESSED_NOISE * COMPRESSED_NOISE));
-    const Wide4 of_mean = {{middle[0], middle[1], middle[2], wide_lesser(error, (Floats)(MOST_ERROR))}};
+    const Wide4 of_mean = {{middle.c[0], middle.c[1], middle.c[2], wide_lesser(error, (Floats)(MOST_ERROR))}};
     const Wide4 deviation = {{wide_root(variance[0]), wide_root(variance[1]), wide_root(variance[2]), shift}};
     store_channels(of_mean, count, out_mean + 4 * i);
     store_channels(deviation, count, out_deviation + 4 * i);
@@ -344,8 +345,8 @@ INLINE Wide4 sums_around(const Ints x, const int y, const Weights near, const We
             s.part[part] = rows_of(&near, part, from, near_columns);
             t.part[part] = rows_of(&far, part, from, far_columns);
         }
-        *far_sum = channels_of_strip(&t);
-        return channels_of_strip(&s);
+        *far_sum = channels_of(&t);
+        return channels_of(&s);
     }
     float sums[4 * LANES], far_sums[4 * LANES];
     for (int k = 0; k < LANES; ++k) {

@@ -70,7 +70,7 @@ class Cost:
 
 def forms(source: str) -> dict[str, dict[str, int]]:
     """Return the options of every form that a GPU gets of a program, by a name; first the one that most get."""
-    base = {name: 1 for name in ("LANES", "RUN") if name in source}
+    base = {"LANES": 1} if "LANES" in source else {}
     atomics = {"64-bit atomics": {"INT64_ATOMICS": 1}, "32-bit atomics": {}} if "INT64_ATOMICS" in source else {"": {}}
     division = {"": {}, "exact division": {"EXACT_DIVISION": 1}} if "EXACT_DIVISION" in source else {"": {}}
     sums = {"": {}, "float sums": {"FLOAT_SUMS": 1}} if "FLOAT_SUMS" in source else {"": {}}

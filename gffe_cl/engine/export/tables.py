@@ -39,8 +39,7 @@ GIVEN = {
 }
 _NAMED_GRIDS = ("source", "target", "network", "cells", "cut_samples")  # in C's own code
 _USUAL = Sizes((1920, 1080), (1920, 1080))  # by which buffers are sorted
-_CHOICES = {"LANES": "GFFE_LANES", "RUN": "GFFE_RUN"}
-_FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "RUN", "EXACT_DIVISION", "FLOAT_SUMS")}
+_FLAGS = {name: f"GFFE_TAKES_{name}" for name in ("LANES", "EXACT_DIVISION", "FLOAT_SUMS")}
 # Fields of two choices, which are flags in C: whether it is the second one.
 _FORMAT_FLAGS = {
     "rows": "rows_up",
@@ -153,7 +152,7 @@ class Tables:
 
         def number(value: int | str) -> str:
             if isinstance(value, str):
-                return _CHOICES.get(value) or str(int(stage.program.constants[value]))
+                return "GFFE_LANES" if value == "LANES" else str(int(stage.program.constants[value]))
             return str(value)
 
         sides = ", ".join(map(number, (*kernel.step, kernel.group or 0, kernel.group_rows)))

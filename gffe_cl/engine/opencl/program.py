@@ -143,7 +143,7 @@ def build(device: Device, name: str, **variant: int) -> Program:
     Raises GffeError with the compiler's log (file and line) when it does not build.
     """
     source = expand(f"{name}.cl")
-    choices = {"LANES": device.lanes, "RUN": 16 if device.lanes > 1 else 1}
+    choices = {"LANES": device.lanes}
     if device.exact_division:
         choices["EXACT_DIVISION"] = 1
     if device.info.platform == "Oclgrind" and device.lanes > 1:

@@ -46,7 +46,6 @@ static gffe_status build(gffe *g, int number, int int64) {
     size_t used = (size_t)sprintf(choices, "%s", rounding_options(g));
     cl_int error;
     if (program->flags & GFFE_TAKES_LANES) used += (size_t)sprintf(choices + used, " -DLANES=%d", g->lanes);
-    if (program->flags & GFFE_TAKES_RUN) used += (size_t)sprintf(choices + used, " -DRUN=%d", g->lanes > 1 ? 16 : 1);
     if (program->flags & GFFE_TAKES_EXACT_DIVISION && g->exact_division)
         used += (size_t)sprintf(choices + used, " -DEXACT_DIVISION=1");
     if (program->flags & GFFE_TAKES_FLOAT_SUMS && g->options.float_sums)
@@ -128,7 +127,7 @@ gffe_status gffe_open(gffe *g) {
 /* ---- operations --------------------------------------------------------------------------------------- */
 
 static int step_of(const gffe *g, int step) {
-    return step == GFFE_LANES ? g->lanes : step == GFFE_RUN ? (g->lanes > 1 ? 16 : 1) : step;
+    return step == GFFE_LANES ? g->lanes : step;
 }
 
 static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_block *block) {

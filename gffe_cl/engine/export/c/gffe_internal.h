@@ -26,13 +26,12 @@ enum {
 
 enum { GFFE_LAUNCH, GFFE_FILL, GFFE_COPY };
 
-enum { GFFE_LANES = -1, GFFE_RUN = -2 }; /* steps that the device decides */
+enum { GFFE_LANES = -1 }; /* a step that the device decides */
 enum {
     GFFE_TAKES_LANES = 1,
-    GFFE_TAKES_RUN = 2,
-    GFFE_TAKES_EXACT_DIVISION = 4,
-    GFFE_TAKES_INT64 = 8,
-    GFFE_TAKES_FLOAT_SUMS = 16,
+    GFFE_TAKES_EXACT_DIVISION = 2,
+    GFFE_TAKES_INT64 = 4,
+    GFFE_TAKES_FLOAT_SUMS = 8,
     GFFE_OF_FORMATS = 256
 };
 /* Flags of buffers: the one of the frame before is kept, too; made with the first windowed frame; the caller's; memory
