@@ -222,8 +222,9 @@ WIDE __kernel void survey(__constant Frame *restrict frame, __global const half 
     const Floats bias = off.c[0] * per_known,
                  scatter = wide_greater(off_square.c[0] * per_known - bias * bias, (Floats)(0.0f));
     const Floats shift = bias * wide_divide(bias * bias, bias * bias + SCATTER * scatter + 1e-8f);
-    const Floats missed = wide_greater(
-        (off_square.c[0] + off_square.c[1] + off_square.c[2]) * per_known - shift * (2.0f * bias - shift), (Floats)(0.0f));
+    const Floats missed =
+        wide_greater((off_square.c[0] + off_square.c[1] + off_square.c[2]) * per_known - shift * (2.0f * bias - shift),
+                     (Floats)(0.0f));
     const Floats error =
         wide_root(wide_divide(missed, variance[0] + variance[1] + variance[2] + COMPRESSED_NOISE * COMPRESSED_NOISE));
     const Wide4 of_mean = {{middle.c[0], middle.c[1], middle.c[2], wide_lesser(error, (Floats)(MOST_ERROR))}};

@@ -293,13 +293,9 @@ def failures(programs):
 
 
 def test_forms_of_gpus():
-    both = {"LANES": 1, "INT64_ATOMICS": 1}
-    assert list(forms(expand("warp.cl")).values()) == [
-        both,
-        both | {"EXACT_DIVISION": 1},
-        {"LANES": 1},
-        {"LANES": 1, "EXACT_DIVISION": 1},
-    ]
+    both, exact = {"LANES": 1, "INT64_ATOMICS": 1}, {"EXACT_DIVISION": 1}
+    expected = [both, both | exact, {"LANES": 1}, {"LANES": 1} | exact]
+    assert list(forms(expand("warp.cl")).values()) == expected
     assert list(forms("__kernel void f() { }")) == [""]
 
 
@@ -354,8 +350,7 @@ def exceeded(gpu, cost):
 @pytest.mark.long
 @pytest.mark.parametrize("kind", COMPILERS, ids=lambda kind: kind.vendor)
 def test_kernels_keep_the_budget_of_gpus(kind):
-    """In the form that most GPUs get, stories apart: they run for one pixel. An exception that is no longer needed must
-    go."""
+    """In the form that most GPUs get; stories are for single pixels. An exception that is no longer needed must go."""
     programs, version = built(kind), compiler_of(kind).version
     gpus = {one.gpu for one in programs}
     found = {

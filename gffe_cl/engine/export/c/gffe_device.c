@@ -126,9 +126,7 @@ gffe_status gffe_open(gffe *g) {
 
 /* ---- operations --------------------------------------------------------------------------------------- */
 
-static int step_of(const gffe *g, int step) {
-    return step == GFFE_LANES ? g->lanes : step;
-}
+static int step_of(const gffe *g, int step) { return step == GFFE_LANES ? g->lanes : step; }
 
 static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_block *block) {
     const gffe_kernel *kernel = &gffe_kernels[operation->kernel];
