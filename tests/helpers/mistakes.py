@@ -253,6 +253,20 @@ def two_views(frames):
     return made
 
 
+def views_of_one_scene(frames):
+    """Return frames whose right half is that of the frame three later, or of the first ones."""
+    made, half = [], frames[0].depth.shape[1] // 2
+    for k, f in enumerate(frames):
+        other, parts = frames[(k + 3) % len(frames)], {}
+        for name in ("color", "depth", "motion"):
+            here, there = (
+                np.zeros((*f.depth.shape, 2)) if (a := getattr(one, name)) is None else a for one in (f, other)
+            )
+            parts[name] = np.concatenate([here[:, :half], there[:, half:]], 1).astype(here.dtype)
+        made.append(replace(f, **parts))
+    return made
+
+
 def origin_shifted(frames):
     def moved(k, f):
         m = f.camera.world_to_view.copy()
@@ -267,6 +281,8 @@ def oblique(z, frame):
     x = np.linspace(-1, 1, z.shape[1])
     return np.where(np.isinf(z), 1, 1 - (NEAR / z) * (1 + 0.6 * x))
 
+
+bits_of_floats = depth(lambda z, f: z.astype(np.float32).view(np.uint32) / 2**32)
 
 # By name: changes that no format undoes. They must not get another name.
 UNEXPLAINED = {

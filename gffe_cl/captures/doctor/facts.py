@@ -40,6 +40,7 @@ _BESIDE, _DILATED = 50, 0.7  # pixels beside edges, and the share of them with t
 _STEP, _EDGES, _LINES_OF, _SILENT = 5, 150, 200_000, 0.08  # of depths at an edge; edges; pixels; agreement by chance
 _CONTRAST, _FLAT, _TELLING, _MIXTURE, _TIGHT = 0.08, 0.15, 0.03, 0.25, 0.06  # of the two sides of a silhouette
 _CLEAR, _MIXED, _ENCODED = 50, 0.25, 0.75  # silhouettes, and the shares of mixtures and of those that mix sRGB values
+_ALIKE, _HUES = 25, 3  # silhouettes of one hue that count, at most; steps of hues
 
 
 def facts_of_samples(looks: list[Look], format: FrameFormat) -> list[Finding]:
@@ -311,23 +312,29 @@ def color_rows(looks: list[Look]) -> list[Finding]:
 def display_values(looks: list[Look]) -> list[Finding]:
     """Return a fault if colors are display values: a pixel that a silhouette crosses mixes both surfaces with the same
     share in red, green and blue only if these are linear. Edges inside of surfaces do not count, as renderers may
-    filter encoded textures."""
-    total = np.zeros(4, int)
+    filter encoded textures. All edges of one hue of the nearer side count as a few: its rim may just have another
+    shade."""
+    hues, votes, counts = [], [], np.zeros(2, int)
     for look in looks:
         for color, _, depth in _lines_of(look):
             color = np.nan_to_num(np.asarray(color, np.float32))
             if color.max() > 1.001 or color.min() < 0:  # no display values
                 return []
-            total += _votes(color, depth)
-    wrong, telling, mixed, count = total.tolist()
-    if telling < _CLEAR or mixed < _MIXED * count or wrong < _ENCODED * telling:
+            hue, wrong, *count = _votes(color, depth)
+            hues, votes, counts = [*hues, hue], [*votes, wrong], counts + count
+    if not votes or counts[0] < _MIXED * counts[1]:
         return []
-    return [DisplayValues(wrong / telling, telling)]
+    _, group = np.unique(np.concatenate(hues), axis=0, return_inverse=True)
+    total, wrong = np.bincount(group), np.bincount(group, np.concatenate(votes))
+    telling = np.minimum(total, _ALIKE)
+    share = float((wrong / total) @ telling / max(telling.sum(), 1))
+    return [DisplayValues(share, int(telling.sum()))] if telling.sum() >= _CLEAR and share >= _ENCODED else []
 
 
-def _votes(color: np.ndarray, depth: np.ndarray) -> tuple[int, int, int, int]:
-    """Return counts of vertical silhouettes one pixel wide between two flat sides: those that fit sRGB values better
-    than linear ones, those that are evidence, those with a mixture of the sides, and all."""
+def _votes(color: np.ndarray, depth: np.ndarray) -> tuple[np.ndarray, np.ndarray, int, int]:
+    """Return the vertical silhouettes one pixel wide between two flat sides that are evidence: hues (N, 3) of the
+    nearer side and whether they fit sRGB values better than linear ones, (N,) bool. And counts: of those with a mixture
+    of the sides, and of all."""
     at = silhouettes(depth)
     far_left, left, middle, right, far_right = (color[:, k : color.shape[1] - 4 + k][at] for k in range(5))
     contrast = np.abs(right - left)
@@ -335,10 +342,13 @@ def _votes(color: np.ndarray, depth: np.ndarray) -> tuple[int, int, int, int]:
     edge = ((contrast > _CONTRAST) & flat).all(-1)
     sides = left[edge], middle[edge], right[edge]
     given, decoded = _spread(*sides), _spread(*(linear_values(np.clip(one, 0, 1)) for one in sides))
+    is_left = (depth[:, 1:-3] < depth[:, 3:-1])[at][edge]
+    near = np.where(is_left[:, None], sides[0], sides[2])
     with np.errstate(invalid="ignore"):
         best = np.fmin(given, decoded)
         mixed, telling = best < _MIXTURE, (best < _TIGHT) & (np.abs(given - decoded) > _TELLING)
-    return int((decoded < given)[telling].sum()), int(telling.sum()), int(mixed.sum()), int(edge.sum())
+    hues = np.round(_HUES * near / np.maximum(near.max(-1, keepdims=True), 1e-6))
+    return hues[telling], (decoded < given)[telling], int(mixed.sum()), int(edge.sum())
 
 
 def _spread(a: np.ndarray, m: np.ndarray, b: np.ndarray) -> np.ndarray:

@@ -245,6 +245,7 @@ VIEW_AXES = {"gffe": (1, 1, 1), "opengl": (1, -1, -1), "direct3d": (1, -1, 1)}  
 _INFINITE = 5e-4  # near / far: below that far is indistinguishable from infinity
 _SIGNED = 0.01  # device depths below minus this reach from −1 to 1
 _MOST_POWER = 60.0  # of e
+_FARTHEST = 1e9  # finite far planes
 _LITTLE_MORE = 1.5
 _DRAWS = 48  # lines through two samples, of which the best one is kept
 
@@ -361,8 +362,11 @@ class Depth:
         whether a format can have its parameters."""
         if self.law.terms == 1:
             return True
+        fields = self.findings(stored)[0].fields
+        if _FARTHEST < fields["far_z"] < np.inf:
+            return False
         try:
-            FrameFormat(**self.findings(stored)[0].fields)
+            FrameFormat(**fields)
         except GffeError:
             return False
         if np.nanmin(stored) > -1 - _SIGNED and np.nanmax(stored) < 1 + _SIGNED:

@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from doctor_clips import H, W, clip, frames_of, written
 from fault_injection import HARMLESS, Kept, broken
-from mistakes import MISTAKES
+from mistakes import MISTAKES, views_of_one_scene
 from synthetic import camera
 
 import gffe_cl as gffe_api
@@ -63,6 +63,11 @@ def test_a_camera_that_mirrors_the_picture_is_not_told_without_a_sky():
     (doubt,) = found.findings
     assert doubt.name == "ambiguous" and found.found is None
     assert 'convention="direct3d"' in doubt.causes and 'rows="up" with motion_y="up"' in doubt.causes
+
+
+def test_it_names_the_half_that_shows_another_view():
+    (fault,) = examine(Kept(views_of_one_scene(clip().images))).faults
+    assert fault.name == "unexplained" and fault.where == " in the right half of the picture"
 
 
 def test_steady_motion_does_not_tell_late_cameras_from_a_missing_frame():
