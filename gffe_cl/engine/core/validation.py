@@ -19,7 +19,8 @@ from gffe_cl.engine.core.errors import GffeError
 EXPOSURES = (1e-6, 1e6)
 FRAME_RATES = (1e-6, 1e6)
 MOST_SEED = 2**32 - 1
-MOST_SIDE = 1 << 16  # pixels
+MOST_SIDE = 1 << 15  # pixels: kernels multiply two sides ...
+MOST_PIXELS = 1 << 28  # ... and count the channels of an image in 31 bits
 SIDES = (1e-9, 1e9)  # where they need not be whole
 LARGEST = 1e300
 QUIETLY = np.errstate(all="ignore")  # for functions whose results say where arithmetic failed: NumPy warns nobody
@@ -96,15 +97,19 @@ def require_size(value: Any, what: str = "size", *, whole: Literal[True]) -> tup
 def require_size(value: Any, what: str = "size", *, whole: Literal[False] = False) -> tuple[float, float]: ...
 def require_size(value: Any, what: str = "size", *, whole: bool = False) -> tuple[float, float]:
     """Return width and height of an image in pixels. Raises GffeError unless they are two positive numbers, or `whole`
-    ones, up to 65536."""
+    ones up to MOST_SIDE, whose product is MOST_PIXELS at most."""
     try:
         width, height = value
-        if whole:
-            return require_whole(width, what, 1, MOST_SIDE), require_whole(height, what, 1, MOST_SIDE)
-        return require_within(width, what, *SIDES), require_within(height, what, *SIDES)
+        if not whole:
+            return require_within(width, what, *SIDES), require_within(height, what, *SIDES)
+        width, height = (require_whole(side, what, 1, MOST_SIDE) for side in (width, height))
     except (GffeError, TypeError, ValueError):
         kind = f"whole pixels from 1 to {MOST_SIDE}" if whole else "pixels"
         raise GffeError(f"{what} must be (width, height) in {kind}, got {shown(value)}") from None
+    if width * height > MOST_PIXELS:
+        most = f"{what} must have at most {MOST_PIXELS} pixels, whose channels kernels count in 31 bits"
+        raise GffeError(f"{most}, got {width}×{height}")
+    return width, height
 
 
 def environment_number(name: str, choices: tuple[int, ...]) -> int | None:

@@ -278,6 +278,11 @@ class Device(Unique):
         return int(self.cl_device.global_mem_size)
 
     @cached_property
+    def largest_buffer(self) -> int:
+        """Bytes that a buffer may have, as the driver reports them; often less than `memory`."""
+        return int(self.cl_device.max_mem_alloc_size)
+
+    @cached_property
     def alignment(self) -> int:
         """Alignment in bytes: kernels can use host memory in place that begins at a multiple of it (`empty`)."""
         return max(int(self.cl_device.mem_base_addr_align) // 8, 1)
@@ -317,8 +322,11 @@ class Device(Unique):
         size = max(require_whole(nbytes, "device: nbytes", 0, 2**63 - 1), 1)
         mapped = require_bool(mapped, "device: mapped")
         self.require_process()
-        if size > self.memory:  # NVIDIA's driver refuses nothing until it is used
-            raise GffeError(f"{self.info.name}: cannot allocate {size / 2**20:.0f} MiB of {self.memory / 2**20:.0f}")
+        most = min(self.memory, self.largest_buffer)
+        if size > most:  # NVIDIA's driver refuses nothing until it is used
+            raise GffeError(
+                f"{self.info.name}: cannot allocate {size / 2**20:.0f} MiB at once, {most / 2**20:.0f} at most"
+            )
         try:
             for_host = cl.mem_flags.ALLOC_HOST_PTR if mapped and self.shares_memory else 0
             made = cl.Buffer(self.context, cl.mem_flags.READ_WRITE | for_host, size)

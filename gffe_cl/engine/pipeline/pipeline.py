@@ -118,8 +118,8 @@ class Pipeline(Unique):
     def _begin(self, options: Options) -> None:
         """Allocate buffers for `options`, and drop all frames. Raises GffeError if memory is short; then nothing has
         changed."""
-        require_room(self.device, self.sizes, lambda sizes: self._allocate(sizes, options)[1])
-        self.board, self._nbytes = self._allocate(self.sizes, options)
+        require_room(self.device, self.sizes, lambda sizes: self._allocate(sizes, options)[1:])
+        self.board, self._nbytes, _ = self._allocate(self.sizes, options)
         self.options = options
         self.stages: dict[str, Any] = dict(self.board.stages)
         self._correction: ShadingCorrection | None = self.stages.get(ShadingCorrection.name)
@@ -130,11 +130,12 @@ class Pipeline(Unique):
         self._is_cut: bool | None = False  # None: to be decided by the samples that the device counts
 
     @pipeline_call
-    def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int]:
-        """Return all stages on a new board with their buffers, and how many bytes these are."""
+    def _allocate(self, sizes: Sizes, options: Options) -> tuple[Board, int, int]:
+        """Return all stages on a new board with their buffers, and how many bytes these and the largest of them are."""
         before = self.device.allocated
         board = board_of(self.device, sizes, options, self._int64_atomics)
-        return board, self.device.allocated - before
+        largest = max(buffer.size for stage in board.stages.values() for buffer in stage.buffer.values())
+        return board, self.device.allocated - before, largest
 
     def __del__(self):
         if (intake := getattr(self, "intake", None)) and intake.reads_arrays:

@@ -99,7 +99,8 @@ def _free_start(parts: Iterable[tuple[int, int, frozenset[int]]], nbytes: int, u
     return start
 
 
-_SURELY = 1024  # bytes per pixel that suffice for any options: only larger sizes are checked in detail
+# Bytes per pixel of all buffers, and of any one, that suffice for any options: only more is checked in detail.
+_SURELY, _SURELY_AT_ONCE = 1024, 128
 _TRIAL = 256  # pixels along the longer side of the images by which memory is estimated
 _MARGIN = 0.97  # of the size that would fit: sides are rounded
 
@@ -108,23 +109,26 @@ class NoRoomError(GffeError):
     """Error for images that do not fit on the device, as estimated before anything is allocated."""
 
 
-def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], int]) -> None:
+def require_room(device: Device, sizes: Sizes, allocated_for: Callable[[Sizes], tuple[int, int]]) -> None:
     """Raise a NoRoomError that names a size that fits, unless images of `sizes` fit on the device. `allocated_for`
-    returns the bytes of all buffers for other sizes."""
+    returns the bytes of all buffers for other sizes, and of the largest."""
     pixels = _pixels(sizes)
-    if pixels * _SURELY <= device.memory:
+    if pixels * _SURELY <= device.memory and pixels * _SURELY_AT_ONCE <= device.largest_buffer:
         return
     shrink = _TRIAL / max(*sizes.source, *sizes.target)
     trial = replace(sizes, source=_scaled(sizes.source, shrink), target=_scaled(sizes.target, shrink))
     frames = KEPT_BYTES_PER_PIXEL * math.prod(sizes.source)
     before = device.allocated
-    needed = allocated_for(trial) * pixels / _pixels(trial) + frames
+    needed, at_once = (nbytes * pixels / _pixels(trial) for nbytes in allocated_for(trial))
+    needed += frames
     device.allocated = before  # the trial's memory is free again
-    if needed <= device.memory:
+    share = min(device.memory / needed, device.largest_buffer / at_once)
+    if share >= 1:
         return
-    width, height = _scaled(sizes.target, _MARGIN * math.sqrt(device.memory / needed))
+    width, height = _scaled(sizes.target, _MARGIN * math.sqrt(share))
     fits = f"expected at most about {width}×{height} of this shape with these options"
-    raise NoRoomError(f"pipeline: {footprint(device, sizes, needed)} ({fits})")
+    at_most = f", {_size(at_once)} at once of {_size(device.largest_buffer)}" if at_once > device.largest_buffer else ""
+    raise NoRoomError(f"pipeline: {footprint(device, sizes, needed)}{at_most} ({fits})")
 
 
 def footprint(device: Device, sizes: Sizes, nbytes: float | None) -> str:

@@ -12,8 +12,9 @@ import numpy as np
 import pyopencl as cl
 import pytest
 from shared_work import SIZES, work
+from synthetic import camera
 
-from gffe_cl import GffeError
+from gffe_cl import GffeError, RenderedFrame
 from gffe_cl.engine.frame.rendered_frame import KEPT_BYTES_PER_PIXEL
 from gffe_cl.engine.opencl.device import open_info
 from gffe_cl.engine.options import Options
@@ -73,31 +74,49 @@ def test_two_processes_share_a_device(device, seen):
     assert found == [alone, alone]
 
 
-def test_too_large_for_a_device(device):
+@pytest.mark.parametrize(
+    ("memory", "at_once", "said"),
+    [
+        (16 << 20, 1 << 60, r"640×360 takes \d+ MiB of the 16 MiB of "),
+        (1 << 40, 2 << 20, r", \d+ MiB at once of 2 MiB "),
+    ],
+)
+def test_too_large_for_a_device(device, memory, at_once, said):
     """Nothing is allocated for images that do not fit, and what is said to fit does."""
     small = open_info(device.info)
-    small.memory = 16 << 20
-    said = r"640×360 takes \d+ MiB of the 16 MiB of .*expected at most about (\d+)×(\d+)"
-    with pytest.raises(GffeError, match=said) as told:
+    small.memory, small.largest_buffer = memory, at_once
+    with pytest.raises(GffeError, match=said + r".*expected at most about (\d+)×(\d+)") as told:
         Pipeline(small, 640, 360)
-    assert small.allocated < small.memory / 4
+    assert small.allocated < 4 << 20
     width, height = (int(side) for side in str(told.value).rpartition("about ")[2].split(" ")[0].split("×"))
     pipeline = Pipeline(small, width, height)
     pipeline.submit(frames(width, height, count=1, samples=1)[0])
     pipeline.extrapolate().numpy("color")
     taken = pipeline._nbytes + KEPT_BYTES_PER_PIXEL * width * height
-    assert 0.75 * small.memory < taken <= small.memory and width / height == pytest.approx(16 / 9, rel=0.01)
+    largest = max(buffer.size for stage in pipeline.stages.values() for buffer in stage.buffer.values())
+    assert 0.75 < max(taken / memory, largest / at_once) <= 1 and width / height == pytest.approx(16 / 9, rel=0.01)
+
+
+@pytest.mark.long
+@pytest.mark.parametrize("size", [(7680, 4320), (16384, 1024)])
+def test_large_images(device, size):
+    """A still picture stays as it is, to its last pixels."""
+    if device.memory < 8 << 30:
+        pytest.skip("too little memory")
+    pipeline = Pipeline(device, *size, Options(shading_correction=False))
+    color = np.random.default_rng(0).random((size[1], size[0], 3)).astype(np.float16)
+    depth, motion = np.full(color.shape[:2], 5, np.float32), np.zeros((*color.shape[:2], 2), np.float16)
+    for k in range(2):
+        pipeline.submit(RenderedFrame(color, depth, motion, camera(*size), k / 30, reset=k == 0))
+    assert np.array_equal(pipeline.extrapolate().numpy("color"), color)
 
 
 def test_a_driver_that_refuses_memory(device):
     small = open_info(device.info)
-    with pytest.raises(GffeError, match=r"cannot allocate 4194304 MiB"):
-        small.buffer(1 << 42)
-    if small.memory > 100 << 30:
-        return  # it has what is asked for
-    small.memory = 1 << 60
-    with pytest.raises(GffeError, match=r"cannot allocate \d+ MiB"):
-        Pipeline(small, 1 << 16, 1 << 16)
+    for most in (small.memory, 1 << 60):  # unasked, and asked
+        small.memory = small.largest_buffer = most
+        with pytest.raises(GffeError, match="cannot allocate 4194304 MiB"):
+            small.buffer(1 << 42)
 
 
 @pytest.fixture
