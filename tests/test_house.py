@@ -106,10 +106,10 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 37_654,
+    "gffe_cl": 37_589,
     "viewer": 11_998,
     "kernels": 10_179,
-    "tests": 28_059,
+    "tests": 28_038,
     "docs/tools": 3_586,
     "docs/examples": 1_822,
     "docs/*.md": 4_392,
