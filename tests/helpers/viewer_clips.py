@@ -11,7 +11,6 @@ from synthetic import Rect, Rects, camera
 from viewer_session import PATIENCE, wait_for
 
 from gffe_cl import (
-    GffeError,
     Options,
     Pipeline,
 )
@@ -63,13 +62,13 @@ def frames(scene=""):
 
 
 class Clip(FrameSource):
-    """Frames in memory; `faults` cannot be read, `asked` says which were, `gate` holds them up."""
+    """Frames in memory; `asked` says which were, `gate` holds them up."""
 
     name, width, height, render_size, fps, exposure, count = "clip", W, H, (W, H), FPS, 1.0, COUNT
     has_truth = True
 
-    def __init__(self, faults=(), delay=0.0, reset=0, back=0.0):
-        self.faults, self.delay, self.asked, self.gate = set(faults), delay, [], threading.Event()
+    def __init__(self, delay=0.0, reset=0, back=0.0):
+        self.delay, self.asked, self.gate = delay, [], threading.Event()
         self.reset, self.back = reset, back
         self.gate.set()
 
@@ -80,8 +79,6 @@ class Clip(FrameSource):
         self.asked.append(k)
         assert self.gate.wait(PATIENCE)
         time.sleep(self.delay)
-        if k in self.faults:
-            raise GffeError(f"frame_{k}.exr: truncated")
         return replace(frames()[k], reset=k in (0, self.reset))
 
     def reset_before(self, k):

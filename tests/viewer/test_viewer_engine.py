@@ -333,27 +333,6 @@ def test_inspection_equals_the_whole_buffers(device, tmp_path):
         np.testing.assert_array_equal(seen.values["rendered.color"][:3], frames()[6].color[6, 5])
 
 
-def test_an_unreadable_frame_is_an_error_and_the_engine_goes_on(device):
-    with running(device, source := Clip(faults={3})) as engine:
-        assert isinstance(ask(engine, 4, Setup()), Frame)
-        error = ask(engine, 6, Setup())
-        assert isinstance(error, Failure) and error.error == "frame_3.exr: truncated"
-        assert inspect(engine, 1, 1, 6, Setup()) == Failure("frame_3.exr: truncated", "inspection")
-        result = ask(engine, 9, Setup(), ("final",))
-        assert result.moment.k == 4 and "frame 3 is left out: frame_3.exr: truncated" in result.warnings[0]
-        assert result.moment.previous_camera is None  # as after a reset
-        source.faults.clear()
-        assert not ask(engine, 11, Setup()).warnings
-        for slot, setup, message in (
-            (999, Setup(), "expected 0 to 27"),
-            (-1, Setup(), "slot -1"),
-            (0, Setup(n=9), "-n"),
-        ):
-            error = ask(engine, slot, setup)
-            assert isinstance(error, Failure) and message in error.error
-        assert isinstance(ask(engine, 27, Setup()), Frame)
-
-
 def test_what_cannot_be_opened_is_an_error(device):
     def fails(_):
         raise ValueError("out of luck")
@@ -472,7 +451,7 @@ def test_a_recorded_sequence_is_shown_as_a_run_extrapolates_it(device, tmp_path,
         assert "adaptive" in error.error and isinstance(ask(engine, 3, setup), Frame)
 
 
-def test_a_damaged_file_is_reported_when_its_turn_comes(device, tmp_path):
+def test_a_damaged_file_is_reported_when_its_turn_comes_and_the_engine_goes_on(device, tmp_path):
     sequence = write(tmp_path / "s")
     with running(device, lambda d: RecordedSource(sequence, d)) as engine:
         path = tmp_path / "s" / "frame_2.exr"
@@ -481,12 +460,19 @@ def test_a_damaged_file_is_reported_when_its_turn_comes(device, tmp_path):
         assert isinstance(ask(engine, 3, Setup()), Frame)
         error = ask(engine, 5, Setup())
         assert isinstance(error, Failure) and "frame_2.exr" in error.error
-        assert "frame_2.exr" in ask(engine, 7, Setup()).warnings[-1]
+        assert inspect(engine, 1, 1, 5, Setup()) == Failure(error.error, "inspection")
+        result = ask(engine, 7, Setup(), ("final",))
+        assert result.moment.k == 3 and "frame 2 is left out: " in result.warnings[-1]
+        assert result.moment.previous_camera is None  # as after a reset
         (tmp_path / "s" / "truth_4.exr").write_bytes(b"nothing")
         result = ask(engine, 9, Setup(), ("final", "truth"))
         assert "final" in result.images and "truth" not in result.images and "truth_4.exr" in result.warnings[-1]
         path.write_bytes(whole)
-        assert isinstance(ask(engine, 5, Setup()), Frame)
+        assert isinstance(ask(engine, 5, Setup()), Frame) and not ask(engine, 7, Setup()).warnings
+        for slot, setup, message in ((999, Setup(), "to 11"), (-1, Setup(), "slot -1"), (0, Setup(n=9), "-n")):
+            error = ask(engine, slot, setup)
+            assert isinstance(error, Failure) and message in error.error
+        assert isinstance(ask(engine, 11, Setup()), Frame)
 
 
 SMALL = (64, 40)

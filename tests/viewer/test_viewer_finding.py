@@ -105,30 +105,17 @@ def test_regions_are_those_of_the_table(tmp_path):
     assert len(np.unique(expected[-1])) >= 4
 
 
-def test_figures_of_a_slot():
-    result, measurer = made(slot=1), Measurer()
-    figures = measurer.measure(result, 1.0)
-    a, b = shown(result)
-    flicker = Flicker()
-    flicker.add(b, b)
-    assert figures.values["psnr"] == pytest.approx(psnr(a, b), abs=1e-4)
-    assert figures.values["flicker"] == pytest.approx(flicker.add(a, b))
-    assert figures.values["disoccluded"] == pytest.approx(100 * 6 / WIDTH)
-    assert figures.values["kernels"] == 1.75
-    without = made(slot=1)
-    del without.images[names.TRUTH]
-    assert Measurer().measure(without, 1.0).values.keys() == {"disoccluded", "kernels"}
-
-
-def test_flicker_needs_the_slot_before():
-    first, second, third = (made(slot=slot, n=3, seed=slot) for slot in (1, 2, 3))
-    flicker = Flicker()
-    flicker.add(*reversed([shown(first)[1]] * 2))
-    expected = [flicker.add(*shown(result)) for result in (first, second, third)]
-    measurer = Measurer()
-    found = [measurer.measure(result, 1.0).values["flicker"] for result in (first, second, third)]
-    assert found == pytest.approx(expected)
-    assert "flicker" not in Measurer().measure(second, 1.0).values
+def test_figures_of_slots():
+    results, flicker, measurer = [made(slot=slot, n=3, seed=slot) for slot in (1, 2, 3)], Flicker(), Measurer()
+    flicker.add(*[shown(results[0])[1]] * 2)
+    for result in results:
+        values, (a, b) = measurer.measure(result, 1.0).values, shown(result)
+        assert values["psnr"] == pytest.approx(psnr(a, b), abs=1e-4)
+        assert values["flicker"] == pytest.approx(flicker.add(a, b))
+        assert values["disoccluded"] == pytest.approx(100 * 6 / WIDTH) and values["kernels"] == 1.75
+    assert "flicker" not in Measurer().measure(results[1], 1.0).values, "it needs the slot before"
+    del results[0].images[names.TRUTH]
+    assert Measurer().measure(results[0], 1.0).values.keys() == {"disoccluded", "kernels"}
 
 
 class Surveying:

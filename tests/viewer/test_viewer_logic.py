@@ -4,6 +4,8 @@ import contextlib
 import json
 import os
 import resource
+import time
+import weakref
 from types import SimpleNamespace
 
 import foreign_files
@@ -17,6 +19,7 @@ from PIL import Image
 from gffe_cl.captures.sequence.exr import read_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.layers import LayerSpec
+from gffe_cl.viewer.engine import jobs
 from gffe_cl.viewer.engine.figures import Timings
 from gffe_cl.viewer.engine.messages import Frame, Key, Recipe, Setup
 from gffe_cl.viewer.picture.displays import Display
@@ -543,20 +546,16 @@ def test_settings_without_a_file_or_a_folder(tmp_path, monkeypatch):
     assert default_path() == tmp_path / ".config" / "gffe-cl" / "viewer.json"
 
 
-def test_linked_settings_stay_linked(tmp_path):
-    link = tmp_path / "viewer.json"
-    link.symlink_to(tmp_path / "dotfiles" / "viewer.json")
-    assert Settings(theme="light").save(link) is None
-    assert link.is_symlink() and Settings.load(tmp_path / "dotfiles" / "viewer.json")[0].theme == "light"
-
-
-def test_recent_paths(tmp_path):
-    remembered = Settings()
+def test_recent_paths_and_links(tmp_path):
+    link, remembered = tmp_path / "viewer.json", Settings()
     for i in range(15):
         remembered.add_recent(tmp_path / str(i))
     remembered.add_recent(tmp_path / "9")
     names = [os.path.basename(path) for path in remembered.recent]
     assert names == ["9", "14", "13", "12", "11", "10", "8", "7", "6", "5", "4", "3"]
+    link.symlink_to(tmp_path / "dotfiles" / "viewer.json")
+    assert remembered.save(link) is None and link.is_symlink(), "linked settings stay linked"
+    assert Settings.load(tmp_path / "dotfiles" / "viewer.json")[0].recent == remembered.recent
 
 
 # -- export ----------------------------------------------------------------------------------------------------------
@@ -693,6 +692,24 @@ def test_zooming_in_goes_to_the_picked_pixel_if_it_is_seen():
         Framing(view).zoom_in((100, 100), picked)
         assert view.center == center
     assert view.zoom == 16.0
+
+
+def test_no_job_outlives_the_program(monkeypatch):
+    """Within a binary package an interrupted thread would crash the interpreter."""
+
+    def endless():
+        while True:
+            time.sleep(0.01)
+
+    monkeypatch.setattr(jobs, "_PATIENCE", 0.2)
+    monkeypatch.setattr(jobs, "_all", weakref.WeakSet())  # nobody else's
+    made = jobs.Jobs("endless")
+    future = made.run(endless)
+    while not future.running():
+        time.sleep(0.001)
+    jobs._end()
+    assert made._thread is not None and not made._thread.is_alive()
+    assert isinstance(future.exception(), SystemExit)
 
 
 def test_a_chord_whose_modifier_is_let_go_in_the_frame_of_its_key():

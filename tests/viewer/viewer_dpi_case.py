@@ -1,4 +1,4 @@
-"""Opens the viewer on a screen with 144 dpi, without a sequence; started by test_viewer_dpi.py under xvfb-run.
+"""Opens the viewer on a screen with 144 dpi, without a sequence; started by test_viewer_window.py under xvfb-run.
 
 viewer_dpi_case.py REPORT.json: sizes of the first frames of the interface, and what is remembered of the window.
 """
