@@ -108,15 +108,6 @@ def wheel(vectors, scale):
 # ---- where pixels land ---------------------------------------------------------------------------------
 
 
-def test_first_row_is_on_top(canvas):
-    image = np.zeros((4, 6, 3), np.float32)
-    image[0, :, 0] = image[:, 0, 1] = 1
-    made = shown(canvas, COLOR, image)
-    close(made[0, 1:], (1, 0, 0))
-    close(made[1:, 0], (0, 1, 0))
-    close(made[1:, 1:], 0)
-
-
 @given(
     layer=st.tuples(st.integers(1, 9), st.integers(1, 9)),
     display=st.tuples(st.integers(1, 11), st.integers(1, 11)),
@@ -126,7 +117,8 @@ def test_first_row_is_on_top(canvas):
 )
 @settings(max_examples=60, deadline=None)
 def test_zoom_and_pan(kept, layer, display, size, zoom, center):
-    """Labels of any size stretched over a display of any size, seen anywhere, where the view says that they are."""
+    """Labels of any size stretched over a display of any size, seen anywhere, where the view says that they are; the
+    first row is on top."""
     values = RNG.integers(0, 16, layer[::-1]).astype(np.uint8)
     kept.frame = FrameInfo(display)
     kept.upload("l", values, LABEL)

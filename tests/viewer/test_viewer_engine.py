@@ -106,27 +106,26 @@ def test_nothing_before_a_reset_is_used(device):
         assert source.asked == [4, 5]
 
 
-def test_rendered_slots_and_the_frames_own_layers(device):
+def test_rendered_slots_and_the_frames_own_layers(engine):
     setup = Setup(n=1)
     names = ("final", "truth", "rendered.color", "rendered.depth", "rendered.motion", "no.such")
-    with running(device, Clip()) as engine:
-        result = ask(engine, 8, setup, names)
-        frame = frames()[4]
-        assert set(result.images) == set(names[:5]) and result.moment.alpha == 0
-        assert result.images["final"].shape == (H, W, 4) and result.images["final"].dtype == np.float16
-        for name in ("final", "truth", "rendered.color"):
-            assert (result.images[name][..., :3] == frame.color).all()
-        assert (result.images["rendered.depth"] == frame.depth).all()
-        assert (result.images["rendered.motion"] == frame.motion).all()
-        generated = {spec.name for spec in result.specs.values() if spec.of_generated}
-        stepped_here = [ask(engine, slot, setup, "all").images.keys() for slot in (7, 8)]
-        assert generated - {"focus_truth"} <= stepped_here[0], "all of them at a generated slot"
-        assert not generated & stepped_here[1], "and at a rendered one not those that are left of the one before"
-        assert not generated & inspect(engine, 3, 4, 8, setup).values.keys()
-        result = ask(engine, 9, setup, ("truth",))
-        np.testing.assert_array_equal(result.images["truth"][..., :3], Clip().truth(4, 0.5).astype(np.float16))
-        again = ask(engine, 9, setup, ("truth", "final"))
-        assert not np.shares_memory(again.images["truth"], result.images["truth"])
+    result = ask(engine, 8, setup, names)
+    frame = frames()[4]
+    assert set(result.images) == set(names[:5]) and result.moment.alpha == 0
+    assert result.images["final"].shape == (H, W, 4) and result.images["final"].dtype == np.float16
+    for name in ("final", "truth", "rendered.color"):
+        assert (result.images[name][..., :3] == frame.color).all()
+    assert (result.images["rendered.depth"] == frame.depth).all()
+    assert (result.images["rendered.motion"] == frame.motion).all()
+    generated = {spec.name for spec in result.specs.values() if spec.of_generated}
+    stepped_here = [ask(engine, slot, setup, "all").images.keys() for slot in (7, 8)]
+    assert generated - {"focus_truth"} <= stepped_here[0], "all of them at a generated slot"
+    assert not generated & stepped_here[1], "and at a rendered one not those that are left of the one before"
+    assert not generated & inspect(engine, 3, 4, 8, setup).values.keys()
+    result = ask(engine, 9, setup, ("truth",))
+    np.testing.assert_array_equal(result.images["truth"][..., :3], Clip().truth(4, 0.5).astype(np.float16))
+    again = ask(engine, 9, setup, ("truth", "final"))
+    assert not np.shares_memory(again.images["truth"], result.images["truth"])
 
 
 class SpoiltClip(Clip):
@@ -261,17 +260,16 @@ def test_the_most_urgent_want_is_made_first_whatever_was_asked_before(device, sl
         assert isinstance(ask(engine, 2, Setup()), Frame) and store.get(gone) is None, "it is given up"
 
 
-def test_a_maker_that_was_interrupted_holds_nothing(device):
+def test_a_maker_that_was_interrupted_holds_nothing(engine):
     def interrupt():
         raise Interrupted
 
-    with running(device, Clip()) as engine:
-        ask(engine, 2, Setup())
-        maker, key = engine._makers[0], want(engine, 8, Setup()).key
-        maker.check = interrupt
-        with pytest.raises(Interrupted):
-            maker.make(key, frozenset())
-        assert maker.key == key and not maker.holds(key)
+    ask(engine, 2, Setup())
+    maker, key = engine._makers[0], want(engine, 8, Setup()).key
+    maker.check = interrupt
+    with pytest.raises(Interrupted):
+        maker.make(key, frozenset())
+    assert maker.key == key and not maker.holds(key)
 
 
 def test_a_slot_on_screen_is_left_alone_by_what_is_wanted_later(device):
@@ -301,36 +299,35 @@ def texels_under(x, y, sx, sy):
     }
 
 
-def test_inspection_equals_the_whole_buffers(device, tmp_path):
+def test_inspection_equals_the_whole_buffers(engine, tmp_path):
     setup = Setup(replace(ALL, history=3, scn_model=constant_model(tmp_path / "m.onnx")), n=1)
-    with running(device, Clip()) as engine:
-        specs = ask(engine, 13, setup).specs
-        images = ask(engine, 13, setup, specs).images
-        rng = np.random.default_rng(0)
-        holes, moving = (np.argwhere(images[name] > 0) for name in ("frame.filled_by", "frame.dynamic"))
-        for y, x in [(0, 0), (H - 1, W - 1), *holes[:3], *moving[::40], *rng.integers((H, W), size=(6, 2))]:
-            x, y = int(x), int(y)
-            seen = inspect(engine, x, y, 13, setup)
-            source = images["frame.motion"][y, x] + (x + 0.5, y + 0.5)
-            assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
-            sx, sy = np.floor(seen.source).astype(int)
-            here, origin = texels_under(x, y, x, y), texels_under(x, y, sx, sy)
-            inside = 0 <= sx < W and 0 <= sy < H
-            for name, image in images.items():
-                on_source = specs[name].grid in SOURCE_GRIDS
-                assert (name in seen.origin) == (on_source and inside), name
-                for values, places in ((seen.values, here), (seen.origin, origin)):
-                    if name in values:
-                        px, py = places[specs[name].grid]
-                        expected = image[:, py, px] if specs[name].planes > 1 else image[py, px]
-                        np.testing.assert_array_equal(values[name], np.reshape(expected, values[name].shape), name)
-                assert name in seen.values
-        ask(engine, 13, setup, ("truth",))
-        seen = inspect(engine, 3, 4, 13, setup)
-        np.testing.assert_array_equal(seen.values["truth"], images["truth"][4, 3])
-        seen = inspect(engine, 5, 6, 12, setup)
-        assert seen.source == (5.5, 6.5) and seen.slot == 12 and not seen.origin
-        np.testing.assert_array_equal(seen.values["rendered.color"][:3], frames()[6].color[6, 5])
+    specs = ask(engine, 13, setup).specs
+    images = ask(engine, 13, setup, specs).images
+    rng = np.random.default_rng(0)
+    holes, moving = (np.argwhere(images[name] > 0) for name in ("frame.filled_by", "frame.dynamic"))
+    for y, x in [(0, 0), (H - 1, W - 1), *holes[:3], *moving[::40], *rng.integers((H, W), size=(6, 2))]:
+        x, y = int(x), int(y)
+        seen = inspect(engine, x, y, 13, setup)
+        source = images["frame.motion"][y, x] + (x + 0.5, y + 0.5)
+        assert seen.pixel == (x, y) and seen.slot == 13 and seen.source == pytest.approx(source, abs=1e-4)
+        sx, sy = np.floor(seen.source).astype(int)
+        here, origin = texels_under(x, y, x, y), texels_under(x, y, sx, sy)
+        inside = 0 <= sx < W and 0 <= sy < H
+        for name, image in images.items():
+            on_source = specs[name].grid in SOURCE_GRIDS
+            assert (name in seen.origin) == (on_source and inside), name
+            for values, places in ((seen.values, here), (seen.origin, origin)):
+                if name in values:
+                    px, py = places[specs[name].grid]
+                    expected = image[:, py, px] if specs[name].planes > 1 else image[py, px]
+                    np.testing.assert_array_equal(values[name], np.reshape(expected, values[name].shape), name)
+            assert name in seen.values
+    ask(engine, 13, setup, ("truth",))
+    seen = inspect(engine, 3, 4, 13, setup)
+    np.testing.assert_array_equal(seen.values["truth"], images["truth"][4, 3])
+    seen = inspect(engine, 5, 6, 12, setup)
+    assert seen.source == (5.5, 6.5) and seen.slot == 12 and not seen.origin
+    np.testing.assert_array_equal(seen.values["rendered.color"][:3], frames()[6].color[6, 5])
 
 
 def test_what_cannot_be_opened_is_an_error(device):
@@ -614,10 +611,9 @@ SAID = {  # of what kind of pixels which sentence says it
 }
 
 
-def test_stories_say_what_was_done(device):
-    with running(device, Clip()) as engine:
-        for said, (setup, slot, pixels, place) in SAID.items():
-            assert all(said in story.sentences[place] for story in stories(engine, setup, slot, pixels, 6)), said
+def test_stories_say_what_was_done(engine):
+    for said, (setup, slot, pixels, place) in SAID.items():
+        assert all(said in story.sentences[place] for story in stories(engine, setup, slot, pixels, 6)), said
 
 
 def surface_at(at, pixel):
@@ -632,16 +628,15 @@ def place_of(which, local, k):
     return px if surface_at(k, px - 0.5)[0] == which else None
 
 
-def test_stories_of_the_dilated_warp(device):
+def test_stories_of_the_dilated_warp(engine):
     """Pixels between those of the rendered frame tell its sharpness, if it is measured."""
-    with running(device, Clip()) as engine:
-        for sharpness in (True, False):
-            setup = Setup(Options.preset("performance", sharpness=sharpness))
-            for hole, said in ((0, "nearest of 3×3 pixels"), (1, "nearest surface beside it")):
-                for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
-                    assert story.sentences[0].startswith("It comes from (") and said in story.sentences[hole]
-                    between = any(c % 1 != 0.5 for c in story.source)  # else it is copied, as at the border
-                    assert ("a sharpness of" in story.sentences[-1]) == (sharpness and between)
+    for sharpness in (True, False):
+        setup = Setup(Options.preset("performance", sharpness=sharpness))
+        for hole, said in ((0, "nearest of 3×3 pixels"), (1, "nearest surface beside it")):
+            for story in stories(engine, setup, 9, lambda i, hole=hole: i["frame.disoccluded"] == hole, most=2):
+                assert story.sentences[0].startswith("It comes from (") and said in story.sentences[hole]
+                between = any(c % 1 != 0.5 for c in story.source)  # else it is copied, as at the border
+                assert ("a sharpness of" in story.sentences[-1]) == (sharpness and between)
 
 
 @pytest.mark.parametrize("windowed", [False, True])
@@ -699,12 +694,11 @@ def test_stories_tell_of_the_fragment_that_landed(device):
             np.testing.assert_allclose(story.trajectory[-1], np.add(story.pixel, 0.5), atol=0.5001)
 
 
-def test_stories_of_acceleration(device):
+def test_stories_of_acceleration(engine):
     """The mover falls: nearly all of its acceleration lasts."""
-    with running(device, Clip()) as engine:
-        told = stories(engine, Setup(), 13, lambda i: (i["frame.filled_by"] == 0) & (i["frame.dynamic"] == 1))
-        bent = [said for story in told for said in story.sentences if "of its acceleration counts" in said]
-        assert len(bent) > len(told) / 2 and sum(int(said.split("%")[0]) > 80 for said in bent) > len(bent) / 2
+    told = stories(engine, Setup(), 13, lambda i: (i["frame.filled_by"] == 0) & (i["frame.dynamic"] == 1))
+    bent = [said for story in told for said in story.sentences if "of its acceleration counts" in said]
+    assert len(bent) > len(told) / 2 and sum(int(said.split("%")[0]) > 80 for said in bent) > len(bent) / 2
 
 
 def test_stories_of_cracks_rendered_frames_and_no_motion(engine):
