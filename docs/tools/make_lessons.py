@@ -24,7 +24,7 @@ PAGES = {
     "README": REPOSITORY / "README.md",
     **{name: DOCS / f"{name}.md" for name in ("tutorial_first_result", "tutorial_wrong_pixel", "tutorial_own_capture")},
 }
-NOT_RUN = ("git clone",)
+NOT_RUN = ("git clone", "source ")
 SAME = {"make demo": "gffe demo"}  # in an environment that is there
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.S | re.M)
 AS_IT_IS = {"drop_whitespace": True, "break_long_words": False, "break_on_hyphens": False, "replace_whitespace": False}

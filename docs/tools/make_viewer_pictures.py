@@ -43,7 +43,7 @@ SHOTS = {
         "seek 15\npixel 300,330\nwith frame.motion\ncompare split\nwait 1\nshot shot.png",
     ),
     "story": Shot("demo/rendered", "1600x900", "seek 15\npixel 881,255\nwait 1\nshot shot.png"),
-    "wrong_pixel": Shot("bars", "1100x700", "seek 21\npixel 63,190\nwait 1\nshot shot.png"),
+    "wrong_pixel": Shot("bars", "1100x700", "seek 21\npixel 64,186\nwait 1\nshot shot.png"),
     "comparing": Shot("corridor", "1280x720", (TOOLS / "comparing.txt").read_text()),
 }
 
