@@ -112,7 +112,7 @@ LEDGER = {
     "tests": 27_982,
     "docs/tools": 3_586,
     "docs/examples": 1_822,
-    "docs/*.md": 4_392,
+    "docs/*.md": 4_397,
 }
 MOST_MODULES = 203
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
