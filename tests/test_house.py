@@ -106,10 +106,10 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 37_589,
+    "gffe_cl": 37_567,
     "viewer": 11_998,
     "kernels": 10_179,
-    "tests": 27_982,
+    "tests": 27_916,
     "docs/tools": 3_586,
     "docs/examples": 1_822,
     "docs/*.md": 4_397,

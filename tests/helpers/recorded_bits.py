@@ -68,6 +68,8 @@ CASES = {
     },
     "13x9-performance": Recorded(Options.preset("performance"), (13, 9)),
     "23x14-window": Recorded(_BLOCKS, (23, 14), (35, 23)),
+    "67x3-window": Recorded(_BLOCKS, (67, 3), (35, 23)),
+    "3x50-window": Recorded(Options.preset("performance"), (3, 50), (35, 23)),
     **{
         f"overlays-{name}": Recorded(Options.preset("performance"), size, (48, 33), layers)
         for name, size, layers in (

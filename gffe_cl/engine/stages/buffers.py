@@ -126,35 +126,6 @@ class Sizes:
         return grid_of(grid).size(self)
 
 
-# Width and height in pixels that a texel covers, by the kind of grid: of those laid over the rendered image, and over
-# the extrapolated one; with a level, of level 0.
-_ON_SOURCE = {
-    "source": (1, 1),
-    "source_blocks": BLOCK,
-    "cells": (8, 8),
-    "residuals": (RESIDUAL_STRIDE, RESIDUAL_STRIDE),
-    "runs": (RUN_PIXELS, 1),
-    "level": (1, 1),
-    "levels": (1, 1),
-}
-_ON_TARGET = {
-    "target": (1, 1),
-    "target_blocks": BLOCK,
-    "downsampled": (DOWNSAMPLING, DOWNSAMPLING),
-    "network": (2, 2),
-}
-_LAID_OVER_NOTHING = (
-    "once",
-    "walk",
-    "cut_samples",
-    "measures",
-    "predictions",
-    "list_source",
-    "list_target",
-    "flat_level",
-)
-
-
 class Layout(NamedTuple):
     """How the size of a grid follows from those of the images, in C, too: one texel per `texel` pixels of the rendered
     image (`is_of_source`) or the extrapolated one, sides rounded up to a `multiple`; `is_flat`: all in one row;
@@ -171,6 +142,29 @@ class Layout(NamedTuple):
     levels: int = 0
 
 
+# By the kind of grid; sides of the texels of those with a level are halved so often.
+_LAYOUTS = {
+    "once": Layout(columns=1, most=(0, 1)),
+    "source": Layout(True),
+    "source_blocks": Layout(True, BLOCK),
+    "cells": Layout(True, (8, 8)),
+    "residuals": Layout(True, (RESIDUAL_STRIDE, RESIDUAL_STRIDE)),
+    "runs": Layout(True, (RUN_PIXELS, 1)),
+    "level": Layout(True),
+    "levels": Layout(True),
+    "flat_level": Layout(True, is_flat=True),
+    "cut_samples": Layout(True, columns=CUT_SAMPLES[0], most=(0, CUT_SAMPLES[1])),
+    "measures": Layout(True, (RESIDUAL_STRIDE, RESIDUAL_STRIDE), more=(0, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS)),
+    "predictions": Layout(True, more=(0, 1)),
+    "target": Layout(),
+    "target_blocks": Layout(texel=BLOCK),
+    "downsampled": Layout(texel=(DOWNSAMPLING, DOWNSAMPLING)),
+    "network": Layout(texel=(2, 2), multiple=MULTIPLE),
+    "list_target": Layout(is_flat=True, more=(1, 0)),
+    "walk": Layout(is_flat=True, most=(WALKERS, 0)),
+}
+
+
 @dataclass(frozen=True)
 class Grid:
     """A grid of texels or work-items: its name in `BufferSpec` without the number at its end, and this number. It is
@@ -182,43 +176,27 @@ class Grid:
     @property
     def lies_on_source(self) -> bool:
         """Whether it is laid over the rendered image; else it is laid over the extrapolated one."""
-        return self.kind in _ON_SOURCE
+        return self.layout.is_of_source
 
     @property
     def is_list(self) -> bool:
         """Whether it has a list of pixels (lists.h)."""
-        return self.kind.startswith("list_")
+        return self.kind == "list_target"
 
     @property
     def texel(self) -> tuple[int, int]:
         """Width and height in pixels that a texel covers, in the image over which the grid is laid."""
-        width, height = (_ON_SOURCE | _ON_TARGET).get(self.kind, (1, 1))
-        halvings = self.level if self.kind in ("level", "network") else 0
-        return width << halvings, height << halvings
+        return self.layout.texel
 
     @property
     def layout(self) -> Layout:
         """How its size follows from the sizes of the images."""
-        match self.kind:
-            case "once":
-                return Layout(columns=1, most=(0, 1))
-            case "levels":
-                return Layout(levels=self.level)
-            case "flat_level":
-                return Layout(True, Grid("level", self.level).texel, is_flat=True)
-            case "list_source" | "list_target":
-                return Layout(self.kind == "list_source", is_flat=True, more=(1, 0))
-            case "walk":
-                return Layout(is_flat=True, most=(WALKERS, 0))
-            case "cut_samples":
-                return Layout(True, columns=CUT_SAMPLES[0], most=(0, CUT_SAMPLES[1]))
-            case "measures":
-                return Layout(True, Grid("residuals").texel, more=(0, (1 + CUT_SAMPLES[1]) * RESIDUAL_ROWS))
-            case "predictions":
-                return Layout(True, more=(0, 1))
-            case "network":
-                return Layout(False, self.texel, MULTIPLE >> self.level)
-        return Layout(self.lies_on_source, self.texel)
+        layout = _LAYOUTS[self.kind]
+        if self.kind == "levels":
+            return layout._replace(levels=self.level)
+        width, height = layout.texel
+        multiple = max(layout.multiple >> self.level, 1)
+        return layout._replace(texel=(width << self.level, height << self.level), multiple=multiple)
 
     def size(self, sizes: Sizes) -> tuple[int, int]:
         """Return width and height in texels for images of `sizes`."""
@@ -239,7 +217,7 @@ class Grid:
 def grid_of(name: str) -> Grid:
     """Return the grid of that name. Raises GffeError if there is none."""
     kind = name.rstrip("0123456789")
-    if kind not in _ON_SOURCE and kind not in _ON_TARGET and kind not in _LAID_OVER_NOTHING:
+    if kind not in _LAYOUTS:
         raise GffeError(f"there is no grid '{name}' (expected a name that BufferSpec lists)")
     return Grid(kind, int(name[len(kind) :] or 0))
 
@@ -272,7 +250,7 @@ class BufferSpec:
     "source" each), "cut_samples" (so many of the rendered
     image), "measures" (a row, these and the residuals, one below the other), "predictions" ("source" and a row more),
     "flat_level0" … (the texels of a level in one row) and "walk" (those that walk a list). A list of pixels
-    (lists.h) has the grid "list_source" or "list_target": its length, and one texel per pixel. `components` name its
+    (lists.h) has the grid "list_target": its length, and one texel per pixel. `components` name its
     channels; a single one goes without. `view` is its meaning, and so how to show it: "color" (linear RGB), "depth"
     (view z), "motion" (pixels, from here), "place" (position in pixels), "world" (position in the view space of the
     rendered camera), "mask" (0 or 1), "label" (`labels` name its values), "scalar". `mapped`: the host works in it.

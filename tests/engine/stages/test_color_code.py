@@ -12,7 +12,7 @@ from twins import codes_of, encode_color
 
 from gffe_cl import Camera, Options, Pipeline, RenderedFrame
 from gffe_cl.engine.inference.network import PACKAGED
-from gffe_cl.engine.options import PRESETS
+from gffe_cl.engine.options import HOLE_FILLINGS, PRESETS
 
 W, H = 48, 32
 
@@ -48,17 +48,23 @@ def test_codes_are_halves_at_every_exposure(device):
         np.testing.assert_allclose(new, color, rtol=3e-3, err_msg=f"exposure {exposure}")
 
 
-@pytest.mark.parametrize("preset", PRESETS)
-def test_brighter_colors_of_less_exposure_make_the_same_frames(device, preset):
+@pytest.mark.parametrize(
+    "options",
+    [
+        *(Options.preset(name, shading_correction=name != "performance", scn_model=str(PACKAGED)) for name in PRESETS),
+        *(Options(hole_filling=filling, shading_correction=False) for filling in HOLE_FILLINGS),
+        Options(upscale=2.0, shading_correction=False),
+    ],
+    ids=[*PRESETS, *HOLE_FILLINGS, "upscaling"],
+)
+def test_brighter_colors_of_less_exposure_make_the_same_frames(device, options):
     """To the bit for powers of four; for other powers of two roots are rounded otherwise, which few halves show."""
 
     def made(power):
-        options = Options.preset(preset)
-        if preset != "performance":
-            options = replace(options, shading_correction=True, scn_model=str(PACKAGED))
-        pipeline, scale = Pipeline(device, 61, 37, options), np.float32(2.0**power)
+        size = (31, 19) if options.upscale > 1 else (61, 37)
+        pipeline, scale = Pipeline(device, 61, 37, options, render_size=size), np.float32(2.0**power)
         pipeline.exposure = float(1 / scale)
-        for frame in frames(61, 37, spoil=False):
+        for frame in frames(*size, spoil=False):
             color = np.clip(frame.color, 0.02, 60).astype(np.float16)  # far from the ends of halves
             pipeline.submit(replace(frame, color=(color * scale).astype(np.float16)))
         new = pipeline.extrapolate(synthetic.camera(61, 37, (0.35, 0.07, 0.6), 0.075, 0.045), frame.time + 0.02)

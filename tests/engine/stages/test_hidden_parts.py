@@ -136,13 +136,3 @@ def test_mover_off_the_bars_leaves_the_background_alone(device):
     assert (free.numpy("disoccluded") == 1).any() and not (free.numpy("filled_by") == BY_HIDDEN_PART).any()
     out, _, _ = last_frame(device, [WALL, MOVER, *BARS], Options(hidden_parts=False))
     assert not (out.numpy("filled_by") == BY_HIDDEN_PART).any()
-
-
-@pytest.mark.parametrize("size", [(1, 1), (5, 3), (17, 1)])
-def test_tiny_images(device, size):
-    scene = Rects([WALL, MOVER, *BARS])
-    pipeline, previous = Pipeline(device, *size), None
-    for k in range(4):
-        pipeline.submit(scene.frame(camera(*size), k / 30, *size, previous, reset=k == 0))
-        previous = (camera(*size), k / 30)
-    assert np.isfinite(pipeline.extrapolate(camera(*size, (0.1, 0, 0)), 3.5 / 30).numpy("color")).all()

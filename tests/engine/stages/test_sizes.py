@@ -4,25 +4,9 @@ import numpy as np
 import twins
 from hypothesis import given, settings
 from hypothesis import strategies as st
-from twin_cases import run
 
 from gffe_cl import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
-
-SIDES = st.integers(1, 70)
-
-
-@settings(max_examples=12, deadline=None, derandomize=True)
-@given(st.tuples(SIDES, SIDES), st.tuples(SIDES, SIDES), st.sampled_from(["balanced", "performance"]))
-def test_both_forms_of_the_kernels_make_the_same_frame(device, source, target, preset):
-    """Eight pixels per work-item and 64-bit keys, and one and 32-bit ones."""
-    made = []
-    for lanes, int64 in ((8, None), (1, False)):
-        before, device.__dict__["lanes"] = device.lanes, lanes
-        new = run(device, *source, Options.preset(preset), int64, target).made
-        made.append([new.numpy(name) for name in ("color", "depth", "motion", "filled_by", "disoccluded")])
-        device.__dict__["lanes"] = before
-    assert all(np.array_equal(a, b, equal_nan=True) for a, b in zip(*made, strict=True))
 
 
 @settings(max_examples=12, deadline=None, derandomize=True)
