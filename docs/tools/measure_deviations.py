@@ -108,7 +108,7 @@ GAE: dict[str, Change] = {
         edits={
             "connectivity.cl": {
                 "settled = (z > 0.0f) & (moving == 0)": "settled = z > 0.0f",
-                "clean = settled & !mixed": "clean = settled",
+                "clean = settled & !(nearest < z * MIXES_IN)": "clean = settled",
             }
         }
     ),

@@ -93,6 +93,26 @@ def test_a_distant_jump_shows_a_provisional_slot_first(device):
         assert source.asked == list(range(51, 56))  # goes on
 
 
+def test_a_distant_jump_shows_its_progress_and_can_be_stopped(device):
+    """Between two rendered frames; later it goes on from there."""
+    source, progress = Clip(), []
+    source.count = 60
+
+    def rendered(k):
+        source.asked.append(k)
+        if not progress and k == 30:
+            progress.append(engine.progress)
+            engine.store.want([])
+        return replace(frames()[k % 2], time=k / FPS, reset=k == 0)
+
+    source.rendered = rendered
+    with running(device, source) as engine:
+        engine.store.want([want(engine, 101, Setup(), ("final",))])
+        wait_for(lambda: progress)
+        ask(engine, 101, Setup(), ("final",))
+        assert progress == [(30, 51)] and source.asked == list(range(51))
+
+
 def test_nothing_before_a_reset_is_used(device):
     setup = Setup(n=1)
     with running(device, source := Clip(reset=4)) as engine:
