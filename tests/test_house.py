@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 37_567,
     "viewer": 11_998,
     "kernels": 10_179,
-    "tests": 27_916,
+    "tests": 27_936,
     "docs/tools": 3_586,
     "docs/examples": 1_822,
     "docs/*.md": 4_397,
