@@ -564,19 +564,19 @@ WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global c
     for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
         const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
         if (item < TEAMS) is_filled[item] = own != NO_ENTRY && fill_pixel((int)own, texels, frame, to);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
         const bool mixes = frame->far_side && is_filled[team];
         const int hole = mixes ? (int)entry_of(open, first + team) : 0;
         for (int k = item % TEAM; mixes && k < DIRECTIONS; k += TEAM)
             sides[team][k] = look(hole % width, hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
         const int far = mixes ? far_side(sides[team]) : 0;
         for (int k = item % TEAM; k < DIRECTIONS; k += TEAM)
             if (has(far, k))
                 changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
         if (frame->far_side && item < TEAMS && is_filled[item])
             mix_far_side((int)own, sides[item], changes[item], frame, color);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
     }
 }

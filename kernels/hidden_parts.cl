@@ -42,13 +42,13 @@ typedef struct {
     __global float2 *motion;
     __global uchar *filled_by;
     TOLD
-} Images;
+} Movers;
 
 INLINE int reach_of(__constant Frame *frame) { return max(MOVER_REACH, frame->target_width / MOVER_REACH_SHARE); }
 
 /* The position where the pixel (dst_x, dst_y) was in the rendered image if it moves as the mover at (x, y) does. */
 INLINE float2 moves_along(const int x, const int y, const int dst_x, const int dst_y, __constant Frame *frame,
-                          const Images f) {
+                          const Movers f) {
     return pixel_center(x, y) + f.motion[y * frame->target_width + x]
            + (float2)(divide((float)(dst_x - x), frame->zoom.x), divide((float)(dst_y - y), frame->zoom.y));
 }
@@ -56,7 +56,7 @@ INLINE float2 moves_along(const int x, const int y, const int dst_x, const int d
 /* Whether the frame before showed something farther than the mover at (x, y) where its part at px_source of the
    rendered image, at depth z_source, was then: the mover has no part there. */
 INLINE bool was_seen_through(const int x, const int y, const float2 px_source, const float z_source,
-                             __constant Frame *frame, const Images f) {
+                             __constant Frame *frame, const Movers f) {
     const int width = frame->source_width, height = frame->source_height;
     const float2 px_mover = moves_along(x, y, x, y, frame, f);
     const int src_x = clamp((int)px_mover.x, 0, width - 1), src_y = clamp((int)px_mover.y, 0, height - 1);
@@ -73,7 +73,7 @@ INLINE bool was_seen_through(const int x, const int y, const float2 px_source, c
 
 /* Steps to the first mover in direction d, behind the surfaces before it, a part of which may have been hidden here;
    0: none. */
-INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
+INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Movers f) {
     const int width = frame->target_width, height = frame->target_height;
     const int dst = dst_y * width + dst_x, offset = d.y * width + d.x;
     const int steps = steps_within(reach_of(frame), d, dst_x, dst_y, width, height);
@@ -112,22 +112,23 @@ INLINE int steps_to_mover(const int dst_x, const int dst_y, const int2 d, __cons
 typedef struct {
     int steps;
     float z, weight, code_x, code_y, code_z, px_x, px_y;
-} Side;
+} MoverSide;
 
-INLINE Side look(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame, const Images f) {
-    const Side none = {0, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
+INLINE MoverSide look_for_mover(const int dst_x, const int dst_y, const int2 d, __constant Frame *frame,
+                                const Movers f) {
+    const MoverSide none = {0, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f, 0.0f};
     const int steps = steps_to_mover(dst_x, dst_y, d, frame, f);
     if (steps == 0) return none;
     const int x = dst_x + steps * d.x, y = dst_y + steps * d.y, there = y * frame->target_width + x;
     const float3 code = load_code(f.color, there, frame->code_offset);
     const float2 px = moves_along(x, y, dst_x, dst_y, frame, f);
     const float weight = divide(1.0f, (float)steps * step_length(d));
-    const Side side = {steps, f.depth[there], weight, code.x, code.y, code.z, px.x, px.y};
+    const MoverSide side = {steps, f.depth[there], weight, code.x, code.y, code.z, px.x, px.y};
     return side;
 }
 
 /* The direction in which the mover lies that the hole belongs to, which is close by; -1: none. */
-INLINE int owner(__local const Side *sides, const int reach) {
+INLINE int owner(__local const MoverSide *sides, const int reach) {
     int nearest = -1;
     float least = INFINITY;
     for (int k = 0; k < DIRECTIONS; ++k) {
@@ -140,8 +141,8 @@ INLINE int owner(__local const Side *sides, const int reach) {
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
-INLINE void fill_hidden_part(const int dst_x, const int dst_y, __local const Side *sides, __constant Frame *frame,
-                             const Images f) {
+INLINE void fill_hidden_part(const int dst_x, const int dst_y, __local const MoverSide *sides, __constant Frame *frame,
+                             const Movers f) {
     const int of = owner(sides, reach_of(frame)), dst = dst_y * frame->target_width + dst_x;
     if (of < 0) return;
     const float z_owner = sides[of].z;
@@ -149,7 +150,7 @@ INLINE void fill_hidden_part(const int dst_x, const int dst_y, __local const Sid
     float2 px_sum = (float2)(0.0f);
     float z_sum = 0.0f, weight_sum = 0.0f;
     for (int k = 0; k < DIRECTIONS; ++k) {
-        const Side s = sides[k];
+        const MoverSide s = sides[k];
         if (s.steps == 0 || !(fabs(s.z - z_owner) <= ONE_OBJECT * z_owner)) continue;
         sum += s.weight * (float3)(s.code_x, s.code_y, s.code_z);
         px_sum += s.weight * (float2)(s.px_x, s.px_y);
@@ -171,7 +172,7 @@ INLINE int pixel_beside(const float2 place, const int width, const int height) {
 /* Fills a hole at px with the mover at `beside`, the border of the rendered image, if it enters there: if the hole's
    place, moving as that mover does, is beyond the border. Its color is the border's. Returns whether it does. */
 INLINE bool fill_from_border(const float2 beside, const float2 px, const int dst, __constant Frame *frame,
-                             const Images f) {
+                             const Movers f) {
     const int width = frame->source_width, height = frame->source_height;
     float2 place = beside;
     float z = 0.0f;
@@ -194,7 +195,7 @@ INLINE bool fill_from_border(const float2 beside, const float2 px, const int dst
 
 /* Fills a hole with a mover that enters through the border close to it or, in a corner, through the other one. Returns
    whether there is one. */
-INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Images f) {
+INLINE bool fill_entering(const int dst_x, const int dst_y, __constant Frame *frame, const Movers f) {
     const int width = frame->target_width, height = frame->target_height, dst = dst_y * width + dst_x;
     if (!frame->entering) return false;
     const float2 px = pixel_center(dst_x, dst_y),
@@ -321,10 +322,10 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
                                           __global const uchar *dynamic_mask, __global const uchar *links,
                                           __global const float *met_depth, __global const float *target_position,
                                           __global Key *keys, __global uint *winners, __global uint *offered) {
-    __local Side sides[TEAMS][DIRECTIONS];
+    __local MoverSide sides[TEAMS][DIRECTIONS];
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint found_count;
-    const Images images = {source_depth, depth_prev, source_motion, source_color, dynamic_mask, target_position,
+    const Movers images = {source_depth, depth_prev, source_motion, source_color, dynamic_mask, target_position,
                            disoccluded,  is_dynamic, color,         depth,        motion,       filled_by};
     const Parts parts = {source_depth, depth_prev, met_depth, target_position, depth,   source_motion,
                          dynamic_mask, links,      keys,      winners,         offered, filled_by};
@@ -335,15 +336,15 @@ SCAN_FLAT __kernel void fill_hidden_parts(__constant Frame *restrict frame, cons
         /* Team by team look into all directions ... */
         const uint hole = entry_of(open, first + team);
         for (int k = item % TEAM; hole != NO_ENTRY && k < DIRECTIONS; k += TEAM)
-            sides[team][k] = look((int)hole % width, (int)hole / width, direction(k), frame, images);
-        barrier(CLK_LOCAL_MEM_FENCE);
+            sides[team][k] = look_for_mover((int)hole % width, (int)hole / width, direction(k), frame, images);
+        WAIT_FOR_TEAM();
 
         /* ... and one work-item fills a hole. */
         const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
         const int dst_x = (int)own % width, dst_y = (int)own / width;
         if (own != NO_ENTRY && !fill_entering(dst_x, dst_y, frame, images))
             fill_hidden_part(dst_x, dst_y, sides[item], frame, images);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
     }
 }
 

@@ -246,14 +246,14 @@ INLINE void look_around(const uint hole, __constant Frame *frame, const Images f
     for (int to = reach; to <= whole; to += whole - reach) {
         for (int k = item % TEAM; looks && k < DIRECTIONS; k += TEAM)
             sides[k] = look_beside(hole_x, hole_y, k, to, frame, f);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
         looks_past |= is_open && to == reach && may_look_past(sides);
         looks &= !meets_any(sides);
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
     }
     for (int k = item % TEAM; looks_past && k < DIRECTIONS; k += TEAM)
         if (sides[k].meets && !sides[k].can_be_there) look_past(hole_x, hole_y, k, reach, frame, f, &sides[k]);
-    barrier(CLK_LOCAL_MEM_FENCE);
+    WAIT_FOR_TEAM();
 }
 
 /* Fills pixels that are still invalid from the far side, a team of work-items for each. */
@@ -279,7 +279,7 @@ WALK __kernel void fill_far_side(__constant Frame *restrict frame, __global cons
             const int dst_x = (int)own % width, dst_y = (int)own / width;
             fill_pixel(dst_x, dst_y, continued_surface(dst_x, dst_y, sides[item], frame, images), frame, images);
         }
-        barrier(CLK_LOCAL_MEM_FENCE);
+        WAIT_FOR_TEAM();
     }
 }
 

@@ -5,9 +5,13 @@
 #include "simd.h"
 
 #define WALK_GROUP 64 /* work-items of a group that walks a list ... */
-#define TEAM (LANES == 1 ? 8 : 2) /* ... and of a team, which works on one pixel: CPUs have no room for more teams */
+#define TEAM (LANES == 1 ? 8 : 1) /* ... and of a team, which works on one pixel */
 #define TEAMS (WALK_GROUP / TEAM)
 #define NO_ENTRY 0xFFFFFFFFu
+
+/* Waits for the team. CPUs have teams of one, and need not keep all work-items of a group in step. */
+#define WAIT_FOR_TEAM()                                                                                                \
+    if (TEAM > 1) barrier(CLK_LOCAL_MEM_FENCE)
 
 /* Before a kernel that walks a list. */
 #define WALK __attribute__((vec_type_hint(float4), reqd_work_group_size(WALK_GROUP, 1, 1)))

@@ -52,7 +52,8 @@ PARTS = {
 CLOCKS = ("wall time", "CPU time")
 # Ways in which frames come: NumPy arrays, rings of so many sets of device buffers, and new buffers every time.
 HOST = ("arrays", "ring of 2", "ring of 3", "new buffers")
-BUSY = 1.15  # wall time : CPU time from which a warning is printed
+# From these on a warning is printed: wall time : CPU time, the load before, half of the ratios' range around the median.
+BUSY, LOAD, SPREAD = 1.15, 1.0, 0.05
 
 
 # ---- one version, in a process of its own ------------------------------------------------------------------
@@ -212,6 +213,7 @@ def store(footage: FrameLoop, folder: Path) -> None:
 def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, repeats: int, flags: list[str]) -> dict:
     """Return milliseconds of both versions by part, and the ratios old : new."""
     store(footage, folder)
+    load = os.getloadavg()[0]
     arguments = [str(folder), "--device", device, *flags]
     versions = [Version(tree, *arguments) for tree in trees]
     if versions[0].device != versions[1].device:
@@ -229,10 +231,13 @@ def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, re
         {part: statistics.median(turn[side][part] for turn in turns) for part in turns[0][side]} for side in (0, 1)
     )
     shared = [part for part in old if old[part] and new.get(part)]
-    ratio = {part: statistics.median(a[part] / max(b[part], 1e-6) for a, b in turns) for part in shared}
+    ratios = {part: sorted(a[part] / max(b[part], 1e-6) for a, b in turns) for part in shared}
+    ratio = {part: statistics.median(found) for part, found in ratios.items()}
+    of_cpu = ratios[CLOCKS[1]]
+    spread = (of_cpu[3 * len(of_cpu) // 4] - of_cpu[len(of_cpu) // 4]) / ratio[CLOCKS[1]]
     way = f", {flags[flags.index('--host') + 1]}" if "--host" in flags else ""
     named = {"of": footage.name + way, "width": footage.width, "height": footage.height, "device": versions[1].device}
-    return named | {"old": old, "new": new, "ratio": ratio}
+    return named | {"old": old, "new": new, "ratio": ratio, "load": load, "spread": spread}
 
 
 def rounded(value):
@@ -254,6 +259,9 @@ def show(report: dict) -> None:
     wall, cpu = (new[clock] for clock in CLOCKS)
     if "SCN, network" not in new and wall > BUSY * cpu:
         print(f"warning: the machine was busy: wall time {wall:.1f} ms, CPU time {cpu:.1f} ms per core")
+    if report["load"] > LOAD or report["spread"] > SPREAD:
+        load, spread = report["load"], report["spread"]
+        print(f"warning: too busy to tell: load {load:.1f} before, half of the ratios differ by up to {spread:.0%}")
 
 
 def main() -> None:

@@ -16,7 +16,7 @@ __kernel void tell_hidden_parts(__constant Frame *restrict frame, const int hole
                                 __global const float2 *source_motion, __global const float *depth_prev,
                                 __global const uchar *disoccluded, __global const uchar *is_dynamic,
                                 __global float *depth, __global float2 *motion, __global float *told) {
-    Images images = {.source_depth = source_depth, .depth_prev = depth_prev, .source_motion = source_motion};
+    Movers images = {.source_depth = source_depth, .depth_prev = depth_prev, .source_motion = source_motion};
     images.disoccluded = disoccluded;
     images.is_dynamic = is_dynamic;
     images.depth = depth;
