@@ -10,6 +10,7 @@ DEFINE_COLOR_CODE(Texels, texel_roots, ANY_TEXELS, encode_texels, decode_texels)
 INLINE void encode_run(const int count, const int src, const float code_offset, __global const half *color,
                        __global half *codes) {
     Strip s = load_strip(count, color + 4 * src);
+#pragma unroll
     for (int part = 0; part < PARTS; ++part) {
         VALID(s.part[part]) = 0.0f; /* before and after: so nothing is computed for it */
         s.part[part] = encode_texels(finite_texels(s.part[part]), code_offset);

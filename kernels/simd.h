@@ -19,7 +19,7 @@ typedef int8 Ints;    /* of conditions: -1 or 0 */
 typedef uint8 Uints;
 typedef uchar8 Bytes;
 #define ANY(condition) any_of_lanes(condition)
-#define ALL(condition) (!any_of_lanes(~(condition)))
+#define ALL(condition) all_of_lanes(condition)
 #define load_floats vload8
 #define load_bytes vload8
 #define load_uints(i, p) vload8(i, p)
@@ -59,11 +59,9 @@ typedef uchar16 BytePairs;
 #define gather_floats(p, i) ((float8)GATHER(p, i))
 #define gather_bytes(p, i) ((uchar8)GATHER(p, i))
 
-/* Whether any lane is -1: two instructions, where PoCL makes a test and a jump per lane of any(). */
-INLINE bool any_of_lanes(const int8 condition) {
-    const ulong4 bits = as_ulong4(condition);
-    return ((bits.x | bits.y) | (bits.z | bits.w)) != 0;
-}
+/* Whether any lane is -1: PoCL makes a test and a jump per lane of any(). */
+INLINE bool any_of_lanes(const int8 condition) { return as_ulong(convert_char8(condition)) != 0; }
+INLINE bool all_of_lanes(const int8 condition) { return as_ulong(convert_char8(condition)) == ~0UL; }
 
 /* Halves of any place. PoCL 3.1 takes those that vload_half8 gets for aligned ones, as copies are; its vload_half16
    converts them by parts of 4. */

@@ -29,7 +29,7 @@ typedef float16 Texels;
 #define OF_TEXELS(v, part)                                                                                             \
     ((part) ? (v).hi.s0000111122223333 : (v).lo.s0000111122223333)  /* a number of each pixel for its channels */
 #define ANY_TEXELS(condition) any_of_lanes((condition).lo | (condition).hi)
-#define ALL_TEXELS(condition) (!any_of_lanes(~((condition).lo & (condition).hi)))
+#define ALL_TEXELS(condition) all_of_lanes((condition).lo &(condition).hi)
 #define load_texels(i, p) load_four_texels(4 * (i), p)
 #define reload_texels(i, p) vload16(i, p)
 #define unload_texels(v, i, p) vstore16(v, i, p)
@@ -43,10 +43,7 @@ typedef float16 Texels;
 
 DEFINE_FINITE(Texels, finite_texels)
 
-INLINE bool all_of_half(const int4 condition) {
-    const ulong2 bits = as_ulong2(condition);
-    return (bits.x & bits.y) == ~0UL;
-}
+INLINE bool all_of_half(const int4 condition) { return as_uint(convert_char4(condition)) == ~0U; }
 
 INLINE void store_texels(const Texels c, const int i, __global half *color) {
     vstore_half16_rte(finite_texels(c), i, color);
