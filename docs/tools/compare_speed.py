@@ -52,7 +52,7 @@ PARTS = {
 CLOCKS = ("wall time", "CPU time")
 # Ways in which frames come: NumPy arrays, rings of so many sets of device buffers, and new buffers every time.
 HOST = ("arrays", "ring of 2", "ring of 3", "new buffers")
-# From these on a warning is printed: wall time : CPU time, the load before, half of the ratios' range around the median.
+# From these on a warning is printed: wall time : CPU time, the load before, the range of the middle half of ratios.
 BUSY, LOAD, SPREAD = 1.15, 1.0, 0.05
 
 
