@@ -17,6 +17,7 @@ from gffe_cl.cli.common import (
     OverwriteOption,
     app,
     counted,
+    named,
     out,
     parse_numbers,
     parse_size,
@@ -48,7 +49,7 @@ _FILES = (".avi", ".webm", ".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".we
 def run(
     sequence: Annotated[
         Path,
-        typer.Argument(help="Folder of a capture (see `gffe formats`), or a built-in scene."),
+        typer.Argument(help="Folder of a capture (see `gffe formats`) or of several, or a built-in scene."),
     ],
     output: Annotated[Path, typer.Argument(help="Folder for the result, which is a sequence; or a video: out.mp4.")],
     n: Annotated[
@@ -107,10 +108,11 @@ def run(
     *,
     options: Options,
 ) -> None:
-    """Extrapolate after every rendered frame of a sequence, or of a built-in scene.
+    """Extrapolate after every rendered frame of a sequence, of all sequences in a folder, or of a built-in scene.
 
     The same command continues an interrupted run: finished frames are taken up where input and settings are the same.
     """
+    from gffe_cl.captures.formats import captures_in
     from gffe_cl.captures.offline.run import alphas_for, run_sequence
     from gffe_cl.engine.opencl.runtimes import keep_freed_memory
 
@@ -121,22 +123,50 @@ def run(
         raise GffeError(f"--camera must be 'truth' or 'predicted', got '{camera}'")
     require_choice(ui_detection, ("auto", "on", "off"), "--ui-detection")
     options = replace(options, shading_inputs=dump_stages, ui_detection=ui_detection == "on")
-    as_video = _is_video(output, alphas, overwrite)
+    several = captures_in(sequence)
+    as_video = _is_video(output, several, alphas, overwrite)
     live = {"--size": size, "--frames": frames, "--fps": fps, "--seed": seed}
     keep_freed_memory()
-    opened, source = open_source(sequence, window, device, live, options.upscale)
+    opened: Any = None
+    sources, broken = [], {}
+    for path in several or [sequence]:
+        try:
+            opened, source = open_source(path, window, opened or device, live, options.upscale)
+        except GffeError as error:
+            if not several:
+                raise
+            broken[path.name] = str(error)
+        else:
+            sources.append((path, source))
+    if not sources:
+        raise GffeError("; ".join(named(name, reason) for name, reason in broken.items()))
     with progress_bars() as progress:
+        total = sum(source.count for _, source in sources) * len(alphas)
         how: dict[str, Any] = {"predicted_camera": camera == "predicted", "strict": strict, "dump_stages": dump_stages}
-        how |= {"compression": compression, "overwrite": overwrite}
-        how |= {"on_frame": steps(progress)("Extrapolating", source.count * len(alphas))}
-        if not no_check and _check_quickly(source, sequence, opened, ui_detection):
-            options = replace(options, ui_detection=True)
-        report = (_run_to_video if as_video else run_sequence)(source, output, opened, options, alphas, **how)
-    _print_report(report, output)
-    write_json(json_path, _report_json(report, opened.info))
+        how |= {"compression": compression, "overwrite": overwrite, "once": bool(several)}
+        how |= {"on_frame": steps(progress)("Extrapolating", total)}
+        reports = {}
+        for path, source in sources:
+            place = output / path.name if several else output
+            detects = not no_check and _check_quickly(source, path, opened, ui_detection)
+            chosen = replace(options, ui_detection=True) if detects else options
+            try:
+                report = (_run_to_video if as_video else run_sequence)(source, place, opened, chosen, alphas, **how)
+            except GffeError as error:
+                if not several:
+                    raise
+                broken[path.name] = str(error)
+            else:
+                _print_report(report, place)
+                reports[path.name] = _report_json(report, opened.info)
+    write_json(json_path, {"sequences": reports} if several else next(iter(reports.values())))
+    for name, reason in broken.items():
+        warn(named(name, reason))
+    if broken:
+        raise GffeError(f"run: {len(broken)} of {len(several)} sequences failed: {', '.join(broken)}")
 
 
-def _is_video(output: Path, alphas: list[float], overwrite: bool) -> bool:
+def _is_video(output: Path, several: list[Path], alphas: list[float], overwrite: bool) -> bool:
     """Return whether the output is a video. Raises GffeError for files of other kinds, and for videos that cannot be
     written."""
     from gffe_cl.captures.offline.run import alphas_for
@@ -146,6 +176,8 @@ def _is_video(output: Path, alphas: list[float], overwrite: bool) -> bool:
         if output.suffix.lower() in _FILES and not output.is_dir():
             raise GffeError(f"{output}: is no name of a folder (expected one, or a video: {', '.join(VIDEOS)})")
         return False
+    if several:
+        raise GffeError(f"{output}: the input has {len(several)} sequences (expected a folder for the results)")
     if len(alphas) > 7 or sorted(alphas) != alphas_for(len(alphas)):
         raise GffeError(f"{output}: the new frames of a video are equally spaced (expected -n in place of --alpha)")
     require_video()
@@ -225,6 +257,9 @@ def open_source(
 
 
 def _print_report(report: RunReport, output: Path) -> None:
+    if not report.extrapolated:
+        out.print(f"{plain(output)} is complete (--overwrite makes it anew)")
+        return
     for warning in report.warnings:
         warn(warning)
     if report.bad_pixels:

@@ -1,5 +1,6 @@
-"""What `gffe run` leaves: continued after an interrupt, videos; and files that stay as they are."""
+"""What `gffe run` leaves: continued after an interrupt, videos, several sequences; and files that stay as they are."""
 
+import json
 import shutil
 import subprocess
 import sys
@@ -82,6 +83,26 @@ def test_changed_input_begins_anew(gffe, source, tmp_path, monkeypatch):
     frame.write_bytes((copy / open_sequence(copy).rendered[1].file).read_bytes())
     made = interrupt_after(99, monkeypatch)
     assert gffe("run", copy, tmp_path / "out", *QUICK)[0] == 0 and len(made) == 6
+
+
+def test_sequences_of_a_folder_run_one_after_the_other(gffe, source, tmp_path, monkeypatch):
+    """The broken one is named at the end, and the next run of the same command makes only those that are missing."""
+    for name in ("a", "b", "c"):
+        shutil.copytree(source, tmp_path / "shots" / name)
+    (tmp_path / "shots" / "notes").mkdir()
+    broken = tmp_path / "shots" / "b" / "sequence.json"
+    text = broken.read_text()
+    broken.write_text("{")
+    call = ("run", tmp_path / "shots", tmp_path / "out", *QUICK, "--json", tmp_path / "r.json")
+    code, _, told = gffe(*call)
+    assert code == 2 and "run: 1 of 3 sequences failed: b" in told and "sequence.json: not valid JSON" in told
+    assert sorted(path.name for path in (tmp_path / "out").iterdir()) == ["a", "c"]
+    assert set(json.loads((tmp_path / "r.json").read_text())["sequences"]) == {"a", "c"}
+    broken.write_text(text)
+    made = interrupt_after(99, monkeypatch)
+    code, text, _ = gffe(*call)
+    assert code == 0 and len(made) == 6 and text.count("is complete") == 2
+    assert len(open_sequence(tmp_path / "out" / "b").extrapolated) == 6
 
 
 def test_a_suffix_of_videos_gives_a_video(gffe, source, tmp_path):

@@ -9,7 +9,7 @@ from pathlib import Path
 
 from gffe_cl.captures.formats import blender, folder, unreal
 from gffe_cl.captures.sequence.description import FILE_NAME
-from gffe_cl.captures.sequence.output_folder import why_unfinished
+from gffe_cl.captures.sequence.output_folder import PART, why_unfinished
 from gffe_cl.captures.sequence.reader import Sequence, open_sequence
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import is_video
@@ -92,3 +92,18 @@ def open_capture(path: str | os.PathLike[str]) -> Sequence:
             f"{path}: no {FILE_NAME} in this folder, and no other known form (expected one of `gffe formats`)"
         )
     return known.open(place)
+
+
+def captures_in(folder: Path) -> list[Path]:
+    """Return the folders in `folder` that hold captures, by name; none if it is no folder, or a capture itself. Folders
+    that a run is writing into are left out."""
+    if not folder.is_dir() or _is_capture(folder):
+        return []
+    return [one for one in sorted(folder.iterdir()) if one.is_dir() and one.suffix != PART and _is_capture(one)]
+
+
+def _is_capture(folder: Path) -> bool:
+    try:
+        return (folder / FILE_NAME).exists() or any(one.recognizes(folder) for one in FORMATS.values())
+    except OSError:
+        return False

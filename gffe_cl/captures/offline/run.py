@@ -16,6 +16,7 @@ import numpy as np
 
 from gffe_cl.captures.offline.source import Source
 from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
+from gffe_cl.captures.sequence.description import FILE_NAME, parse_description, read_text
 from gffe_cl.captures.sequence.exr import DEFAULT_COMPRESSION, write_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.public_names import __version__
@@ -71,6 +72,7 @@ def run_sequence(
     dump_stages: bool = False,
     compression: str = DEFAULT_COMPRESSION,
     overwrite: bool = False,
+    once: bool = False,
     on_frame: Callable[[], None] = lambda: None,
 ) -> RunReport:
     """Extrapolate after every rendered frame of `source`, write the result to `output`, and return a summary.
@@ -79,8 +81,8 @@ def run_sequence(
     with `predicted_camera`, all of them are predicted (C̄). `compression` is that of new EXRs (see `SequenceWriter`).
     `on_frame` is called after each extrapolated frame. Rendered frames that are found to be cuts become resets in
     `output`. An interrupted run of the same input and settings is continued unless it is to `overwrite`: rendered
-    frames are submitted again, finished frames are taken up, and the result has the same bits. Dumps of stages are made
-    anew.
+    frames are submitted again, finished frames are taken up, and the result has the same bits. With `once` nothing is
+    made where such a result is complete. Dumps of stages are made anew.
 
     Raises GffeError for structural faults; then `output` is as it was before.
     """
@@ -94,6 +96,10 @@ def run_sequence(
         raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
     source.refuse(output)
     settings = None if dump_stages else _settings(source, options, alphas, predicted_camera, compression)
+    if once and not overwrite and _is_complete(output, settings):
+        for _ in range(source.count * len(alphas)):
+            on_frame()
+        return RunReport(0, BadPixels(), [], {}, taken_up=source.count * len(alphas))
     size = (source.width, source.height)
     writing = SequenceWriter(
         output,
@@ -194,6 +200,15 @@ def _settings(source: Source, options: Options, alphas: list[float], predicted_c
             given.append(inference.digest_of_weights(weights))
     known = [__version__, kernel_digest(), source.identity(), *given]
     return hashlib.sha256(json.dumps(known, default=str).encode()).hexdigest()[:32]
+
+
+def _is_complete(output: Path, settings: str | None) -> bool:
+    """Return whether the folder `output` has the whole result of a run with these `settings`."""
+    try:
+        description = parse_description(read_text(output / FILE_NAME))
+    except GffeError:
+        return False
+    return description.settings == settings is not None and not description.unfinished
 
 
 def shown_frame(entry: FrameEntry, shown: PresentedFrame, color_dtype) -> tuple[FrameEntry, dict[str, np.ndarray]]:
