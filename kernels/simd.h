@@ -63,8 +63,7 @@ typedef uchar16 BytePairs;
 INLINE bool any_of_lanes(const int8 condition) { return as_ulong(convert_char8(condition)) != 0; }
 INLINE bool all_of_lanes(const int8 condition) { return as_ulong(convert_char8(condition)) == ~0UL; }
 
-/* Halves of any place. PoCL 3.1 takes those that vload_half8 gets for aligned ones, as copies are; its vload_half16
-   converts them by parts of 4. */
+/* Halves of any place, copied: PoCL 3.1 takes those of vload_half8 for aligned ones, and converts 16 by parts of 4. */
 INLINE float8 load_halfs8(__global const half *p) {
     const ushort8 bits = vload8(0, (__global const ushort *)p);
     return vload_half8(0, (const half *)&bits);

@@ -36,8 +36,7 @@ typedef float16 Texels;
 #define load_loose_texels(p) load_halfs16(p) /* of halves that may not be aligned */
 #define to_texels convert_float16
 #define THREE_TO_FOUR(v) ((v).s0120345067809ab0) /* three numbers after the other, each as a texel */
-/* Whether a condition holds for all lanes of a part; and the pixels that would follow each part's first one in a row.
- */
+/* Whether a condition holds for all lanes of a part; the pixels that would follow each part's first one in a row. */
 #define ALL_OF_PART(condition, part) all_of_half((part) ? (condition).hi : (condition).lo)
 #define ROWS_OF_PARTS(pixels) ((int8)((int4)((pixels).s0), (int4)((pixels).s4 - 4)) + LANE_NUMBERS)
 

@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 37_632,
     "viewer": 11_998,
     "kernels": 10_180,
-    "tests": 27_962,
+    "tests": 27_959,
     "docs/tools": 3_594,
     "docs/examples": 1_822,
     "docs/*.md": 4_397,

@@ -105,10 +105,10 @@ def _with_layers(frame, layers):
     return replace(frame, overlays=chosen)
 
 
-def digests_of(device, case, int64=None):
+def digests_of(device, case):
     """Return the digest of all buffers of each stage, and of the frames made, over all new frames of a case."""
     options = replace(case.options, shading_inputs=True, scn_model=str(PACKAGED))
-    pipeline = Pipeline(device, *case.size, options, render_size=case.render_size, int64_atomics=int64)
+    pipeline = Pipeline(device, *case.size, options, render_size=case.render_size)
     pipeline.keep()
     if correction := pipeline.stages.get("correction"):
         correction.use(SubstituteNetwork(HEAD, pattern))

@@ -326,7 +326,7 @@ class Search:
         near = max(_NEAR[0] * length, _NEAR[1], self._step)
         share, quarter = float((off[use] <= near).mean()), float(np.quantile(off[use], 0.25, method="lower"))
         fits = quarter <= max(_CLOSE[0] * length, _CLOSE[1], self._step) and share >= _LEAST
-        where = _half(bench, off <= near, use)
+        where = _half(bench, off <= near, use) if reading == GIVEN else ""
         fits = fits and not where and not self._law_is_off(bench, reading, motion, use)
         known = np.nan_to_num([bench.colors_along(*pair) for pair in zip((motion, static), scores, strict=True)])
         quarters = [np.quantile(off[part], 0.25, method="lower") if part.any() else np.nan for part in bench.parts(use)]

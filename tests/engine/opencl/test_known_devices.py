@@ -259,7 +259,7 @@ def test_the_command_says_how_old_a_rank_is(cache, probes, tmp_path, capsys):
     probes.found = [POCL, INTEL]
     age(cache, 3 * 86400)
     said, seconds, default = told()
-    assert "tested 3 days ago; other programs slow the test down: --refresh repeats it" in said
+    assert "tested 72.0 hours ago; other programs slow the test down: --refresh repeats it" in said
     assert 3 * 86400 <= seconds < 3 * 86400 + 60 and default == [True, False]
     said, seconds, default = told("--refresh")
     assert "tested just now; " in said and seconds == 0 and default == [False, True]

@@ -137,7 +137,6 @@ def test_what_the_camera_carries_moves_on_in_view_space(device):
     in_world = Group(blade, Place(0.6, 0, -2.5) @ Swing("z", 35, 1.1))
     scene = Scene(
         "wiper",
-        "",
         0,
         [*room, carried, in_world],
         [Light("lamp", (2, 4, 3), (30, 30, 28))],
@@ -182,7 +181,6 @@ def test_what_recoils_is_still_carried(device):
     room = [Group([Box((0, -0.9, -8), (40, 0.2, 40), GRAY)]), Group([Box((0, 2, -16), (40, 12, 0.2), GRAY)])]
     scene = Scene(
         "weapon",
-        "",
         0,
         [*room, weapon],
         [Light("lamp", (2, 4, 3), (30, 30, 28))],

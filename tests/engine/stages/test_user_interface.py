@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+import user_interface_twin as twin
 from device_arrays import copy_to, of_arrays
 from synthetic import Rect, Rects, camera, psnr
-from twins import user_interface as twin
 
 from gffe_cl import GffeError, Options, Overlays, Pipeline
 from gffe_cl.captures.offline.run import shows_interface
