@@ -214,12 +214,8 @@ _SAME_UNIT = 0.02  # units of depth that differ by less are one
 _NEAR, _CLOSE, _LEAST = (0.1, 0.3), (0.05, 0.1), 0.4  # of motion, and pixels: residuals that agree; share of samples
 _SOUND = 0.7  # share of samples that agree in any sound capture, and so after a repair
 _BETTER = 0.8  # of a frame's residual as given
-_RANGES, _FEWEST, _OFF, _MOST_OFF = (
-    8,
-    24,
-    (0.05, 0.1),
-    0.25,
-)  # of depths; samples; of depth and pixels; share of samples
+_RANGES, _FEWEST = 8, 24  # of depths; samples
+_OFF, _MOST_OFF = (0.05, 0.1), 0.25  # of depth and pixels; share of samples
 _STRICT = (0.2, 0.04)  # times these errors, of laws that are fitted, and of logarithms, which describe many roughly
 _EXACT = 0.01, 0.02  # of the motion by depth, and pixels: usual error of a law that is fitted
 _ALONG = 0.5  # of the error along epipolar lines: most error across them where depth is wrong
