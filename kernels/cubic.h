@@ -70,7 +70,7 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
             if (n == 3 && w->sharp.edges) {                                                                            \
                 const F right = b + c, range = high - low;                                                             \
                 const F seen = range * w->sharp.per_range - LEAST_EDGE / (FULL_EDGE - LEAST_EDGE);                     \
-                if (some(seen > 0.0f)) {                                                                               \
+                if (LANES == 1 || some(seen > 0.0f)) { /* GPUs have no registers for a branch */                       \
                     const F one = fabs(right - left), other = fabs(below - above);                                     \
                     const F least_x = left < right ? left : right, most_x = left < right ? right : left;               \
                     const F least_y = above < below ? above : below, most_y = above < below ? below : above;           \

@@ -267,7 +267,8 @@ def _print_regions(results: dict) -> None:
 
     regions, shares = list(results["regions"]), [sequence["shares"] for sequence in results["sequences"]]
     heads = (f"{region} ({sum(share[region] for share in shares) / len(shares):.2%})" for region in regions)
-    table = Table("PSNR, dB, by region (share of the pixels)", *heads, box=None, header_style="bold")
+    out.print("PSNR, dB, by region (share of the pixels):")
+    table = Table("", *heads, box=None, header_style="bold")
     for mean in results["means"]:
         values = (mean["regions"][region]["psnr"] for region in regions)
         table.add_row(mean["method"], *("–" if value is None else METRICS["psnr"].text(value) for value in values))

@@ -34,7 +34,7 @@ sequence, out, report = sys.argv[1:]
 codes = {
     "devices": gffe("devices"),
     "run": gffe("run", sequence, out, "--no-check", "--no-scn"),
-    "bench": gffe("bench", sequence, "--repeats", "1", "--no-scn"),
+    "bench": gffe("bench", "--sizes", "96x54", "--repeats", "1", "--no-scn"),
     "check": gffe("check", "--help"),
     "view": gffe("view", sequence),
     "eval": gffe("eval", sequence),

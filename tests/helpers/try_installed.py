@@ -42,7 +42,7 @@ formats
 {RENDERED.strip()}
 check rendered
 import rendered imported
-bench rendered --repeats 2 --device {{device}}
+bench --sizes 96x54 --repeats 2 --device {{device}}
 eval rendered --methods gffe,baseline --out report
 export exported
 """
