@@ -191,16 +191,20 @@ INLINE void carry(const Ints beside, const Floats depth, const Floats x, const F
 
 /* A pixel beside a nearer surface has a mixture of both colors. Gives the step, in source pixels, to where its color
    is: from a surface that moves away to the neighbor without it, if that one moves along; beside one that hardly does,
-   to where the mixture is if it goes along with the nearer surface. 0 for the others. `depth`: around the winners. */
+   to where the mixture is if it goes along with the nearer surface. 0 for the others. */
 INLINE void step_off_silhouettes(const Fragments from, const Found won, const Places places, const Positions at,
-                                 const Cross depth, const WideFlow f, Floats *step_x, Floats *step_y) {
-    const Floats near = depth.here * NEARER, one = (Floats)(1.0f), none = (Floats)(0.0f);
+                                 const WideFlow f, Floats *step_x, Floats *step_y) {
+    const Floats one = (Floats)(1.0f), none = (Floats)(0.0f);
     const Ints some = won.exist & !won.smooth, forth = (Ints)(1), back = (Ints)(-1), stay = (Ints)(0);
+    *step_x = *step_y = none;
+    if (!ANY(some)) return;
+    Cross depth;
+    load_cross(from.depth, from.width, places, &depth);
+    const Floats near = depth.here * NEARER;
     const Ints left = some & (won.x > 0) & (depth.left < near),
                right = some & (won.x < from.width - 1) & (depth.right < near);
     const Ints up = some & (won.y > 0) & (depth.up < near),
                down = some & (won.y < from.height - 1) & (depth.down < near);
-    *step_x = *step_y = none;
     if (!ANY(left | right | up | down)) return;
 
     /* Back by what the nearest surface moves farther. */
@@ -275,12 +279,10 @@ INLINE void resolve_found(const Fragments from, const Rendered shown, const Foun
     find_places(src, from.width + 1, from.plane, &places);
     Positions at;
     load_positions(from, places, &at);
-    Cross depth;
-    load_cross(from.depth, from.width, places, &depth);
     WideFlow f;
-    wide_flow(at, to_ints(bytes_at(from.links, places)), depth.here, from.zoom, &f);
+    wide_flow(at, to_ints(bytes_at(from.links, places)), floats_at(from.depth, places), from.zoom, &f);
     Floats step_x, step_y;
-    step_off_silhouettes(from, won, places, at, depth, f, &step_x, &step_y);
+    step_off_silhouettes(from, won, places, at, f, &step_x, &step_y);
 
     /* The place within each fragment that lands on the pixel's center. */
     const Floats ex = center_x - at.x.here, ey = center_y - at.y.here, z = at.z.here;
