@@ -106,10 +106,10 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 37_632,
+    "gffe_cl": 37_629,
     "viewer": 11_998,
     "kernels": 10_180,
-    "tests": 27_959,
+    "tests": 27_958,
     "docs/tools": 3_594,
     "docs/examples": 1_822,
     "docs/*.md": 4_397,
