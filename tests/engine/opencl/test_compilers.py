@@ -32,7 +32,7 @@ STANDARDS = ("CL1.2", "CL2.0", "CL3.0")
 EXTENSIONS = "-cl-ext=-all,+cl_khr_fp16,+cl_khr_int64_base_atomics,+cl_khr_int64_extended_atomics"
 WARNINGS = ("-Wall", "-Wextra", "-Werror", "-Wno-unused-function", "-Wshadow", "-Wvla", "-Wundef")
 WARNINGS += ("-Wdouble-promotion", "-Wfloat-conversion")
-MOST_LOCAL = {1: 16 << 10, 8: 32 << 10}  # bytes per work-group, by LANES: CPUs have no memory of its own for it
+MOST_LOCAL = {1: 16 << 10, 8: 32 << 10}  # bytes per work-group, by LANES: CPUs keep it in memory like any other
 MOST_PRIVATE = {1: 64, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
 PRIVATE = {"scenes/scene.shade": 1 << 10}  # kernels that may have more: those of test scenes
 MOST_ARGUMENTS = 1000  # bytes of a kernel: some GPUs allow 1024
