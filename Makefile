@@ -1,4 +1,4 @@
-# make demo       install into .venv, then render, extrapolate and measure a scene into out/demo
+# make demo       install into .venv, then render, extrapolate, show and measure a scene into out/demo
 # make test       install what the tests need too, then run all of them but the long ones
 # make test-all   those, and then the long ones
 # make quality    what a change of kernels does to the quality, by scene and region: five minutes
@@ -20,7 +20,7 @@ QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" 
 .PHONY: demo test test-all quality recorded docs clean
 
 demo: $(VENV)/.installed
-	@echo "demo: about a minute"
+	@echo "demo: half a minute"
 	@$(VENV)/bin/gffe demo
 
 test: $(VENV)/.installed-for-tests

@@ -21,7 +21,7 @@ from PIL import Image
 TOOLS, OUT = DOCS / "tools", Path("out")
 COMMAND = [sys.executable, "-m", "gffe_cl"]
 SEQUENCES = {  # folder in `out/`, and how it is made
-    "demo/rendered": ["demo", "--output", "out/demo"],
+    "walk": ["render", "corridor", "out/walk", "--size", "960x540", "--frames", "16", "--ground-truth"],
     "corridor": ["render", "corridor", "out/corridor", "--size", "480x270", "--frames", "16", "--ground-truth"],
     "bars": ["render", "bars", "out/bars", "--size", "640x360", "--frames", "16", "--ground-truth"],
 }
@@ -38,11 +38,11 @@ class Shot:
 
 SHOTS = {
     "viewer": Shot(
-        "demo/rendered",
+        "walk",
         "1600x900",
         "seek 15\npixel 300,330\nwith frame.motion\ncompare split\nwait 1\nshot shot.png",
     ),
-    "story": Shot("demo/rendered", "1600x900", "seek 15\npixel 881,255\nwait 1\nshot shot.png"),
+    "story": Shot("walk", "1600x900", "seek 15\npixel 881,255\nwait 1\nshot shot.png"),
     "wrong_pixel": Shot("bars", "1100x700", "seek 21\npixel 64,186\nwait 1\nshot shot.png"),
     "comparing": Shot("corridor", "1280x720", (TOOLS / "comparing.txt").read_text()),
 }

@@ -10,7 +10,7 @@ from typing import Annotated, Any
 import typer
 
 from gffe_cl.cli import captures, devices, measure, run, scenes, train, view  # noqa: F401 - registers the commands
-from gffe_cl.cli.common import app, out, warn_of_networks
+from gffe_cl.cli.common import app, out, plain, warn_of_networks
 from gffe_cl.engine.core.errors import REPOSITORY, GffeError
 from gffe_cl.engine.core.public_names import __version__, removal
 from gffe_cl.engine.core.validation import MOST_SEED, shown
@@ -70,14 +70,21 @@ def _checked(parameter, convert, context, given: Any) -> Any:
 
 def _print_version(wanted: bool) -> None:
     if wanted:
+        from gffe_cl.engine.opencl.device import known_devices
+
+        found = dict.fromkeys(f"{info.platform} ({info.driver})" for info in known_devices()[0] if info.works)
         out.print(" ".join(filter(None, (f"gffe-cl {__version__}", REPOSITORY))))
+        out.print(plain(f"OpenCL: {', '.join(found) or 'nothing that works, see `gffe devices`'}"))
         raise typer.Exit()
 
 
 @app.callback()
 def _gffe(
     version: Annotated[
-        bool, typer.Option("--version", help="Print the version and exit.", is_eager=True, callback=_print_version)
+        bool,
+        typer.Option(
+            "--version", help="Print version and OpenCL runtimes, and exit.", is_eager=True, callback=_print_version
+        ),
     ] = False,
 ) -> None:
     pass

@@ -153,7 +153,9 @@ def parse_numbers(text: str, option: str) -> list[float]:
 def progress_bars():
     """Show the progress of steps on standard error: bars on a terminal, lines elsewhere."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
-    bars = Progress(*columns, TextColumn("left"), TimeRemainingColumn(), console=err) if err.is_terminal else _Lines()
+    columns = (*columns, TextColumn("left"), TimeRemainingColumn())
+    apart = not sys.stdout.isatty()  # results that are printed meanwhile stay in their pipe or file
+    bars = Progress(*columns, console=err, redirect_stdout=not apart) if err.is_terminal else _Lines()
     with bars as progress:
         yield progress
 

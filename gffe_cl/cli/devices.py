@@ -14,6 +14,7 @@ from gffe_cl.cli.common import (
     JsonOption,
     OverwriteOption,
     app,
+    counted,
     err,
     out,
     output_file,
@@ -166,13 +167,20 @@ def devices(
     if default:
         out.print("* the default: the most Mpixel/s in a test of arithmetic and memory, or about as many on a GPU")
         out.print("choose another with --device or GFFE_DEVICE")
-        when = "just now" if age is None else f"{age / 3600:.1f} hours ago"
-        out.print(f"tested {when}; other programs slow the test down: --refresh repeats it")
+        out.print(f"tested {_ago(age)}; other programs slow the test down: --refresh repeats it")
         out.print(f"the default runs the network {RUNS_ON['gpu' if default.kind == 'gpu' else 'cpu']} (--scn-provider)")
     document = {"devices": [asdict(i) | {"default": i is default} for i in infos], "age_seconds": age or 0.0}
     write_json(json_path, document)
     if not working:
         raise none_works(infos or every, kind)
+
+
+def _ago(seconds: float | None) -> str:
+    """Return how long ago something was: "just now" (None), "20 minutes ago", "3 days ago"."""
+    for name, unit in (("day", 86400), ("hour", 3600), ("minute", 60)):
+        if seconds is not None and seconds >= unit:
+            return f"{counted(int(seconds / unit), name)} ago"
+    return "just now"
 
 
 _COLORS = {"equal": "green", "differs": "red", "failed": "red", "refused": "yellow"}

@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
+import time
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
-from rich.table import Table
 
 from gffe_cl.cli.common import (
     CompressionOption,
@@ -114,7 +114,7 @@ def render(
 @takes_options("shading_correction", "scn_model", "scn_provider")
 def demo(
     output: Annotated[Path, typer.Option("--output", "-o", help="Folder for the results.")] = Path("out/demo"),
-    size: Annotated[str, typer.Option(help="Frame size: width × height, pixels.")] = "960x540",
+    size: Annotated[str, typer.Option(help="Frame size: width × height, pixels.")] = "640x360",
     seed: Annotated[int, typer.Option(help="Random seed of the scene's variation.")] = 0,
     window: WindowOption = "off",
     device: DeviceOption = None,
@@ -122,10 +122,11 @@ def demo(
     *,
     options: Options,
 ) -> None:
-    """Render the scene 'corridor', extrapolate it, and measure the result against ground truth."""
+    """Render the scene 'corridor', extrapolate it, show it, and measure the result against ground truth."""
+    start = time.monotonic()
     require_packages("demo", "lab,video", "skimage", "imageio_ffmpeg")
     from gffe_cl.engine.opencl.device import open_device
-    from gffe_cl.lab.demo import METHODS
+    from gffe_cl.lab.demo import EVERY, METHODS
     from gffe_cl.lab.demo import demo as run_demo
     from gffe_cl.lab.metrics import measurable
 
@@ -134,14 +135,16 @@ def demo(
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
     for name in ("contact_sheet.png", "side_by_side.mp4", "metrics.json") if output.is_dir() else ():
         require_output_file(output / name, "--output", overwrite, media=name != "metrics.json")
-    opened = open_device(device, profiling=True)
+    opened, measured = open_device(device, profiling=True), measurable()
     out.print(plain(f"Device: {opened.info.name} ({opened.info.platform})"))
+
+    heads = [f"after every {EVERY}th frame, against truth", *(metric.title for metric in measured)]
     with progress_bars() as progress:
-        metrics = run_demo(output, opened, width, height, seed, window, options, steps(progress))
-    measured = measurable()
-    heads = (metric.title for metric in measured)
-    table = Table("against ground truth at t + ½", *heads, box=None, header_style="bold")
-    for name, figures in metrics.items():
-        table.add_row(METHODS[name], *(metric.text(figures[metric.name]) for metric in measured))
-    out.print(table)
-    out.print(f"Results are in {plain(output)}: contact_sheet.png, side_by_side.mp4, metrics.json, extrapolated/")
+        for name, figures in run_demo(output, opened, width, height, seed, window, options, steps(progress)):
+            if not figures:
+                out.print(plain(f"{output / name}: after {time.monotonic() - start:.0f} s"))
+                continue
+            rows = [METHODS[name], *(metric.text(figures[metric.name]) for metric in measured)]
+            for row in (heads, rows) if name == "repeat" else (rows,):
+                out.print(f"{row[0]:<38}" + "".join(f"{cell:>10}" for cell in row[1:]))
+    out.print(f"All results are in {plain(output)}: after {time.monotonic() - start:.0f} s")

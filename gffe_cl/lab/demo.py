@@ -6,6 +6,7 @@ import json
 from collections.abc import Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
@@ -27,6 +28,7 @@ METHODS = {
     "gae": "GAE",
     "scn": "GAE and shading correction",
 }
+EVERY = 4  # rendered frames from one ground truth to the next
 _FRAMES = 16
 _SLOWDOWN = 4
 _MARGIN = 8
@@ -36,54 +38,63 @@ _FAINT = (165, 165, 165)
 _PAPER = (24, 24, 26)
 
 
-def demo(output: Path, device: Device, width: int, height: int, seed: int, window: str, options: Options, step) -> dict:
-    """Fill the folder `output` and return the metrics. The files are `rendered/`, `extrapolated/`, `contact_sheet.png`,
-    `side_by_side.mp4`, `metrics.json`.
+def demo(
+    output: Path, device: Device, width: int, height: int, seed: int, window: str, options: Options, step
+) -> Iterator[tuple[str, dict]]:
+    """Fill the folder `output` with `rendered/`, `extrapolated/`, `contact_sheet.png`, `side_by_side.mp4`, and at last
+    `metrics.json`. Yield each picture and film when it is finished, (file name, {}), then each of `METHODS` with its
+    mean metrics {"psnr", "ssim", …} where there is ground truth: after every fourth rendered frame.
 
     `window` is the rendering window: "adaptive", "fixed:FACTOR" or "off". `options`: of the displayed frames; the
     others are made without shading correction. `step(text, total)` opens a progress step and returns a function to call
-    after each unit of it. The metrics are {"repeat": {"psnr", "ssim"}, "static": {…}, "gae": {…}}, and "scn" where that
-    is on.
+    after each unit of it.
     """
-    scene = load_scene("corridor", seed)
-    rendered, extrapolated = output / "rendered", output / "extrapolated"
-    on_frame = step("Rendering the scene 'corridor'", 2 * _FRAMES)
-    render_sequence(
-        scene, rendered, device, width, height, _FRAMES, 30.0, ground_truth=True, window=window, on_frame=on_frame
-    )
-    source = open_sequence(rendered)
-    plain = replace(options, shading_correction=False)
-    runs = {"static": (output / "static", replace(plain, motion=False)), "gae": (extrapolated, plain)}
-    if options.corrects_shading:
-        runs |= {"gae": (output / "gae", plain), "scn": (extrapolated, options)}
-    for name, (folder, how) in runs.items():
+    scene, count = load_scene("corridor", seed), _FRAMES + _FRAMES // EVERY
+    how: Any = {"ground_truth": True, "truth_every": EVERY, "window": window}
+    on_frame = step(f"Rendering the scene '{scene.name}'", count)
+    render_sequence(scene, output / "rendered", device, width, height, _FRAMES, 30.0, **how, on_frame=on_frame)
+    source, plain = open_sequence(output / "rendered"), replace(options, shading_correction=False)
+    shown = "scn" if options.corrects_shading else "gae"
+    runs = {"static": replace(plain, motion=False), "gae": plain, shown: options}
+
+    def run(name: str) -> Sequence:
+        folder = output / ("extrapolated" if name == shown else name)
         on_frame = step(f"Extrapolating ({METHODS[name]})", _FRAMES)
-        run_sequence(Recorded(source, device), folder, device, how, [0.5], on_frame=on_frame)
+        run_sequence(Recorded(source, device), folder, device, runs[name], [0.5], on_frame=on_frame)
+        return open_sequence(folder)
 
-    on_frame = step("Measuring against ground truth", (1 + len(runs)) * _FRAMES)
-    progress = lambda done, total: on_frame()  # noqa: E731
-    results = {"repeat": baseline_repeat(source, progress, device)}
-    for name, (folder, _) in runs.items():
-        results[name] = compare(open_sequence(folder), source, progress=progress)
-    metrics = {name: result.to_json()["mean"] for name, result in results.items()}
-    with replacing(output / "metrics.json") as part:
-        part.write_text(json.dumps(metrics, indent=1) + "\n")
-
-    made = open_sequence(extrapolated)
-    on_frame = step("Drawing the contact sheet and the video", _FRAMES)
+    made = run(shown)
     with replacing(output / "contact_sheet.png") as part:
         _contact_sheet(source, made, device).save(part)
+    yield "contact_sheet.png", {}
     with replacing(output / "side_by_side.mp4") as part:
-        write_video(part, _video_frames(source, made, device, on_frame), 60.0)
-    return metrics
+        frames = _video_frames(source, made, device, step("Drawing the film", _FRAMES))
+        write_video(part, frames, 60.0 / _SLOWDOWN)
+    yield "side_by_side.mp4", {}
+
+    metrics = {}
+    for name in ("repeat", *runs):
+        other = source if name == "repeat" else made if name == shown else run(name)
+        on_frame = step(f"Measuring ({METHODS[name]})", _FRAMES // EVERY)
+        progress = lambda done, total, on_frame=on_frame: on_frame()  # noqa: E731
+        score = (
+            compare(other, source, progress=progress)
+            if other.extrapolated
+            else baseline_repeat(source, progress, device)
+        )
+        metrics[name] = score.to_json()["mean"]
+        yield name, metrics[name]
+    with replacing(output / "metrics.json") as part:
+        part.write_text(json.dumps(metrics, indent=1) + "\n")
 
 
 def _contact_sheet(source: Sequence, made: Sequence, device: Device):
     """Return a contact sheet of three times: truth, last frame repeated and extrapolated frame, their errors, and
     the other outputs of an extrapolated frame."""
     groups = []
-    for index in np.linspace(_FRAMES // 4, _FRAMES - 1, 3).astype(int):
-        now, new, truth = source.rendered[index], made.extrapolated[index], source.ground_truth[index]
+    for index in range(EVERY - 1, _FRAMES, EVERY)[:3]:
+        now, new = source.rendered[index], made.extrapolated[index]
+        truth = source.ground_truth[index // EVERY]
         repeated, predicted, wanted = (
             to_display(shown_color(s, e, device), source.exposure)
             for s, e in ((source, now), (made, new), (source, truth))
@@ -119,9 +130,7 @@ def _video_frames(source: Sequence, made: Sequence, device: Device, on_frame) ->
         f"rendered, 30 Hz (1/{_SLOWDOWN} speed)",
         f"with extrapolated frames, 60 Hz (1/{_SLOWDOWN} speed)",
     )
-    for image in side_by_side(pairs(), labels):
-        for _ in range(_SLOWDOWN):
-            yield image
+    yield from side_by_side(pairs(), labels)
 
 
 # ---- pictures for people: display values are sRGB in [0, 1] ---------------------------------------------

@@ -2,6 +2,7 @@
 
 import json
 import os
+import re
 import shlex
 import shutil
 import signal
@@ -107,6 +108,23 @@ def test_nothing_of_later_frames_is_read(gffe, scene, tmp_path):
 def _pixels(path):
     channels = OpenEXR.File(str(path), separate_channels=True).channels()
     return {name: channel.pixels.tobytes() for name, channel in channels.items()}
+
+
+def test_demonstration_shows_pictures_first(gffe, tmp_path):
+    """... and measures then, where there is truth; both times are printed."""
+    pytest.importorskip("skimage")
+    code, text, _ = gffe("demo", "--size", "64x36", "--no-scn", "-o", tmp_path)
+    sheet, film, head, *rows, end = text.splitlines()[1:]
+    for line, name in ((sheet, "contact_sheet.png"), (film, "side_by_side.mp4")):
+        assert re.fullmatch(rf"{tmp_path}/{name}: after \d+ s", line) and (tmp_path / name).is_file()
+    assert code == 0 and "every 4th frame" in head and re.search(r"after \d+ s$", end)
+    figures = json.loads((tmp_path / "metrics.json").read_text())
+    assert (
+        list(figures) == ["repeat", "static", "gae"]
+        and [f"{f['psnr']:.2f}" in r for f, r in zip(figures.values(), rows, strict=True)] == [True] * 3
+    )
+    rendered = open_sequence(tmp_path / "rendered")
+    assert [rendered.rendered_before(e.time) for e in rendered.ground_truth] == [3, 7, 11, 15]
 
 
 def test_dump_stages(gffe, scene, tmp_path):

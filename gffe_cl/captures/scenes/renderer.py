@@ -578,6 +578,7 @@ def render_sequence(
     fps: float,
     *,
     ground_truth: bool = False,
+    truth_every: int = 1,
     per_frame: int = 1,
     samples: int | None = None,
     window: str = "off",
@@ -590,11 +591,11 @@ def render_sequence(
     """Render `frames` frames of `scene` at `fps` into the folder `output`, and return how many were written.
 
     With `ground_truth`, also `per_frame` frames after each, with their own depth and motion (to the rendered frame
-    before), for measuring. `window` is "off", "fixed:FACTOR" or "adaptive": covering the frames in between. `width` and
-    `height` are the display's; rendered frames are `scale` times smaller each way, with textures as fine as the
-    display. `samples` per pixel: 8 if None, 1 of jittered frames. Rendered frames are stored by `encoding`; truth is
-    exact but for a user interface. `compression` is that of the EXRs (see `SequenceWriter`).
-    `on_frame` is called after every frame. Raises GffeError.
+    before), for measuring; with `truth_every` K after each Kth frame only. `window` is "off", "fixed:FACTOR" or
+    "adaptive": covering the frames in between. `width` and `height` are the display's; rendered frames are `scale`
+    times smaller each way, with textures as fine as the display. `samples` per pixel: 8 if None, 1 of jittered frames.
+    Rendered frames are stored by `encoding`; truth is exact but for a user interface. `compression` is that of the EXRs
+    (see `SequenceWriter`). `on_frame` is called after every frame. Raises GffeError.
     """
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
@@ -630,7 +631,7 @@ def render_sequence(
             channels = named_channels(stored.color, stored.depth, stored.motion)
             writer.add(rendered_entry(k, stored, (width, height)), channels)
             on_frame()
-            for alpha in alphas if ground_truth else ():
+            for alpha in alphas if ground_truth and (k + 1) % truth_every == 0 else ():
                 time = (k + alpha) * (1.0 / fps)
                 image = exact.truth(time, frame).numpy()
                 color = encoding.truth(image.color, scene.exposure)
@@ -638,4 +639,4 @@ def render_sequence(
                 entry = FrameEntry(file, time, "ground_truth", display_camera=exact.display_camera(time))
                 writer.add(entry, named_channels(color, image.depth, image.motion))
                 on_frame()
-    return frames * (1 + len(alphas) * ground_truth)
+    return frames + frames // truth_every * len(alphas) * ground_truth

@@ -2,10 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, fields
 from typing import Any
+from weakref import finalize
 
 import numpy as np
 import pyopencl as cl
@@ -53,19 +54,37 @@ class MadeFrame(Unique):
         """Yield, in a `with` block, the buffer's own memory in the form that `numpy` returns, to read. On CPUs nothing
         is copied; on other devices the driver may copy. Leave the block before the next frame is made; the array must
         not be used afterwards. Raises GffeError as `numpy` does."""
-        spec: Any = self._spec(name)
-        queue, lock = self._device.queue, self._device.opened.lock
-        with device_faults(self._device, f'mapping "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"):
-            buffer = getattr(self, name)
-            with lock:
-                array, _ = cl.enqueue_map_buffer(queue, buffer, cl.map_flags.READ, 0, self._shape(spec), spec.dtype)
-        memory = array.base
+        array, release = self._map(name)
         array.flags.writeable = False
         try:
-            yield array[..., :3] if spec.components == RGBA else array
+            yield array
         finally:
+            release()
+
+    def dlpack(self, name: str) -> np.ndarray:
+        """Return a buffer in the form that `numpy` returns, for other libraries to take by DLPack without a further
+        copy: `torch.from_dlpack(frame.dlpack("color"))`. On CPUs it is the buffer's own memory, to read until the next
+        frame is made; elsewhere it is a copy on the host. Raises GffeError as `numpy` does."""
+        if not self._device.works_in_host_memory:
+            return self.numpy(name)
+        array, release = self._map(name)
+        finalize(array, release)
+        return array
+
+    def _map(self, name: str) -> tuple[np.ndarray, Callable[[], None]]:
+        """Return a mapped buffer in the form that `numpy` returns, and the function that ends the mapping."""
+        spec: Any = self._spec(name)
+        queue, lock = self._device.queue, self._device.opened.lock
+        with device_faults(self._device, f'mapping "{name}"', lambda: f"{self._size[0]}×{self._size[1]}"), lock:
+            buffer, flags = getattr(self, name), cl.map_flags.READ
+            array, _ = cl.enqueue_map_buffer(queue, buffer, flags, 0, self._shape(spec), spec.dtype)
+        memory: Any = array.base
+
+        def release() -> None:
             with lock:
                 memory.release(queue)
+
+        return array[..., :3] if spec.components == RGBA else array, release
 
     def _spec(self, name: str) -> BufferSpec:
         names = [n for n in (*_SPECS, *_LIKE) if n in {field.name for field in fields(self)}]

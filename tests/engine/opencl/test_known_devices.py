@@ -244,6 +244,15 @@ def test_the_command_refreshes(cache, probes, tmp_path, capsys):
     assert "--refresh" in said and re.search(r"^ *\* +1:0 .* yes +4 +nothing", said, re.MULTILINE), said
 
 
+def test_the_version_names_runtimes(cache, probes, capsys):
+    from gffe_cl.cli.commands import invoke
+
+    probes.found = [POCL, replace(INTEL, works=False)]
+    assert invoke(["--version"]) == 0
+    version, runtimes = capsys.readouterr().out.splitlines()
+    assert version.startswith("gffe-cl ") and runtimes == f"OpenCL: {POCL.platform} ({POCL.driver})"
+
+
 def test_the_command_says_how_old_a_rank_is(cache, probes, tmp_path, capsys):
     """It may have been measured while other programs were busy."""
     from gffe_cl.cli.commands import invoke
@@ -259,7 +268,7 @@ def test_the_command_says_how_old_a_rank_is(cache, probes, tmp_path, capsys):
     probes.found = [POCL, INTEL]
     age(cache, 3 * 86400)
     said, seconds, default = told()
-    assert "tested 72.0 hours ago; other programs slow the test down: --refresh repeats it" in said
+    assert "tested 3 days ago; other programs slow the test down: --refresh repeats it" in said
     assert 3 * 86400 <= seconds < 3 * 86400 + 60 and default == [True, False]
     said, seconds, default = told("--refresh")
     assert "tested just now; " in said and seconds == 0 and default == [False, True]

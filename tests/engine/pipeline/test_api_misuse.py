@@ -357,6 +357,7 @@ def device_calls(pipeline, frame):
         ),
         "ExtrapolatedFrame.numpy": Call(made.numpy, {"name": "gae"}),
         "PresentedFrame.numpy": Call(pipeline.present().numpy, {"name": "depth"}),
+        "ExtrapolatedFrame.dlpack": Call(made.dlpack, {"name": "color"}),
         "ExtrapolatedFrame.mapped": Call(lambda **given: made.mapped(**given).__enter__(), {"name": "gae"}),
     }
     return calls_of({"Pipeline": lambda: pipeline, "Device": lambda: device}, ON_A_DEVICE, special)

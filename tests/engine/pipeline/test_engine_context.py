@@ -13,7 +13,7 @@ import pytest
 import scn_models
 import tiny_frames
 
-from gffe_cl import Device, GffeError, Options, Overlays, Pipeline, open_device
+from gffe_cl import Device, GffeError, Options, Overlays, Pipeline, RenderedFrame, open_device
 from gffe_cl.engine.frame.rendered_frame import host_arrays
 
 W, H = 64, 48
@@ -424,6 +424,27 @@ def test_made_frames_can_be_read_where_they_are(device):
     with pytest.raises(RuntimeError, match="stop"), made.mapped("color"):
         raise RuntimeError("stop")
     assert bits(made) == expected_bits(device)
+
+
+@pytest.mark.parametrize("library", ["numpy", "torch"])
+def test_made_frames_are_tensors_of_other_libraries(device, library):
+    """In place on CPUs: the next frame changes them, and they outlive the pipeline."""
+    module = pytest.importorskip(library)
+    pipeline, given = Pipeline(device, W, H, PLAIN), list(frames())
+    pipeline.submit(given[0])
+    made = pipeline.extrapolate()
+    tensors = {name: module.from_dlpack(made.dlpack(name)) for name in (*NAMES, "gae", "dynamic")}
+    before = {name: np.asarray(tensor).copy() for name, tensor in tensors.items()}
+    for name, array in before.items():
+        assert array.tobytes() == made.numpy(name).tobytes() and array.shape == made.numpy(name).shape
+    pipeline.submit(given[1])
+    after = pipeline.extrapolate().numpy("color")
+    assert after.tobytes() != before["color"].tobytes()
+    del pipeline, made
+    shown = after if device.works_in_host_memory else before["color"]
+    assert np.array_equal(np.asarray(tensors["color"]), shown)
+    frame = RenderedFrame(tensors["color"], tensors["depth"], tensors["motion"], given[1].camera, time=0.0)
+    assert np.array_equal(host_arrays(frame, H, W).color, shown)
 
 
 def test_aligned_arrays(device):
