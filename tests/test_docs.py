@@ -70,7 +70,7 @@ def test_commands_that_prose_names_exist():
     for name, text in TEXTS.items():
         for quoted in re.findall(r"`gffe ([^`]+)`", _without_blocks(text)):
             words = quoted.split()
-            if words[0] in ("COMMAND", "study", "--version") or removal(f"gffe {words[0]}"):  # the changelog has removed ones
+            if words[0] in ("COMMAND", "study", "--version") or removal(f"gffe {words[0]}"):  # of the changelog
                 continue
             known = {flag for p in commands[words[0]].params for flag in (*p.opts, *p.secondary_opts)} | {"--help"}
             options = {word for word in words if re.match(r"--?[a-z]", word)} - known
