@@ -1,9 +1,11 @@
 # make demo       install into .venv, then render, extrapolate, show and measure a scene into out/demo
 # make test       install what the tests need too, then run all of them but the long ones
 # make test-all   those, and then the long ones
-# make quality    what a change of kernels does to the quality, by scene and region: five minutes
+# make quality    what a change of kernels does to the quality of new frames: five minutes, and ten more the first time;
+#                 ARGS="--quick": under a minute; docs/tools/quality.py has more
 # make recorded   what is recorded of kernels, anew, after a change of them: 20 minutes or so; PICTURES=1: after one that
-#                 changes pictures, also what each part is worth and the pictures of the documentation: hours
+#                 changes pictures, also what each part is worth and the pictures of the documentation: hours;
+#                 CHECK=1: only lists the records that are older than the kernels
 # make docs       the documentation as a site, into out/docs
 # PYTHON=…        another interpreter than python3
 # WORKERS=…       processes that run tests, 2 if not given; a file of tests is run by one of them
@@ -30,26 +32,28 @@ test-all: test $(VENV)/.installed-for-examples
 	$(PYTEST) -m long
 
 quality: $(VENV)/.installed-for-tests
-	$(VENV)/bin/python docs/tools/quality.py
+	$(VENV)/bin/python docs/tools/quality.py $(ARGS)
 
 # Bits, bytes and instructions, costs on GPUs (where GFFE_GPU_COMPILERS names the compilers), then the tables from them.
 recorded: $(VENV)/.installed-for-tests $(if $(PICTURES),$(VENV)/.installed-for-examples)
+ifdef CHECK
+	$(VENV)/bin/python docs/tools/pages.py --check
+else
 	$(VENV)/bin/python docs/tools/record_selftest.py
 	$(VENV)/bin/python tests/test_recorded_sequences.py
 	$(VENV)/bin/python docs/tools/count_traffic.py --lanes 1,8 --write
 	test -z "$(GFFE_GPU_COMPILERS)" || $(VENV)/bin/python docs/tools/gpu_compilers.py
 ifdef PICTURES
 	$(VENV)/bin/python docs/tools/measure_deviations.py --write
-	$(VENV)/bin/python docs/tools/measure_encodings.py --seeds 2 --write
 	$(VENV)/bin/python docs/tools/make_pictures.py
 	$(VENV)/bin/python docs/tools/make_stage_pictures.py
 	$(VENV)/bin/python docs/tools/make_symptoms.py
 	$(VENV)/bin/python docs/tools/make_live.py
 endif
-	$(VENV)/bin/python docs/tools/quality.py --write
 	$(VENV)/bin/python docs/tools/make_lessons.py
 	$(VENV)/bin/python docs/tools/make_performance.py
 	$(VENV)/bin/python docs/tools/make_tables.py
+endif
 
 # Every warning is an error, links inside the site and names in signatures included; nothing is fetched.
 docs: $(VENV)/.installed-for-docs

@@ -26,7 +26,7 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 
 import numpy as np
-from pages import MEASURED
+from pages import write_record
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
@@ -199,7 +199,7 @@ def main() -> None:
         for name, moved in kernels.items():
             print(f"{name:40}{moved.loaded:10.1f}{moved.stored:10.1f}{moved.executed:14.1f}")
     if asked.write:
-        (MEASURED / "traffic.json").write_text(json.dumps(report(counted, loop), indent=1) + "\n")
+        write_record("traffic", report(counted, loop))
 
 
 if __name__ == "__main__":

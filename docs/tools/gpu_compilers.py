@@ -12,7 +12,6 @@ Nothing is installed. It needs x86-64 Linux with apt and pip. Exit code 1 if a p
 from __future__ import annotations
 
 import argparse
-import json
 import shutil
 import subprocess
 import sys
@@ -21,7 +20,7 @@ from dataclasses import asdict
 from datetime import date
 from pathlib import Path
 
-from pages import DOCS, MEASURED, recorded, table, with_all
+from pages import DOCS, MEASURED, recorded, table, with_all, write_record
 
 PAGE, RECORD = DOCS / "portability.md", MEASURED / "gpu_compilers.json"
 MIRROR, KEYRING = "http://deb.debian.org/debian", "/usr/share/keyrings/debian-archive-keyring.gpg"
@@ -124,7 +123,7 @@ def record() -> list[str]:
     if missing := set(GPUS).difference(*(costs for costs in kernels.values())):
         print(f"not recorded: these compilers do not know {', '.join(sorted(missing))} (--setup FOLDER --newer)")
         return failed
-    RECORD.write_text(json.dumps({"builds": builds, "kernels": kernels}, indent=1) + "\n")
+    write_record("gpu_compilers", {"builds": builds, "kernels": kernels})
     return failed
 
 

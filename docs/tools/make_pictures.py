@@ -11,6 +11,7 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -18,12 +19,13 @@ import numpy as np
 from pages import PICTURES
 from PIL import Image
 from scipy.ndimage import uniform_filter
-from situation_regions import submitted_frames
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
+from gffe_cl.lab.compare import NO_HISTORY
 from gffe_cl.lab.demo import contact_sheet, side_by_side
 from gffe_cl.lab.metrics import focus_mask, to_display
 
@@ -68,6 +70,18 @@ GAINS = {
 }
 SEARCHED = 8  # rendered frames
 SHADING = ("gallery", "courtyard")
+
+
+def submitted_frames(
+    scene_frames: SceneFrames, pipelines: Iterable[Pipeline], frames: int, fps: float, alpha: float
+) -> Iterator[tuple[int, RenderedFrame, float | None]]:
+    """Render a scene's frames and submit each to all pipelines. Yields the number of the frame, the frame, and the time
+    t + α to measure at, None for frames with too little history."""
+    pipelines = list(pipelines)
+    for k, frame in enumerate(scene_frames.sequence(frames, fps)):
+        for pipeline in pipelines:
+            pipeline.submit(frame)
+        yield k, frame, frame.time + alpha / fps if k >= NO_HISTORY else None
 
 
 def gain_picture(device: Device, gain: Gain):

@@ -16,7 +16,7 @@ from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from pages import DOCS, MEASURED, REPOSITORY, table, with_all
+from pages import DOCS, MEASURED, REPOSITORY, table, with_all, write_record
 
 from gffe_cl.lab.table.cells import COLUMNS, PAPER, VIDEO_COLUMNS
 from gffe_cl.lab.table.methods import FULL
@@ -181,7 +181,7 @@ def main() -> None:
     given = parser.parse_args()
     if given.report:
         found = recorded(json.loads(given.report.read_text("utf-8")))
-        RECORD.write_text(json.dumps(found, indent=1, ensure_ascii=False) + "\n", "utf-8")
+        write_record("eval", found)
     for page in (PAGE, README):
         page.write_text(with_tables(page.read_text("utf-8")), "utf-8")
 

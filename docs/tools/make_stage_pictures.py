@@ -13,9 +13,9 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
+from make_pictures import submitted_frames
 from pages import PICTURES
 from scipy.ndimage import binary_erosion
-from situation_regions import submitted_frames
 from skimage.color import hsv2rgb
 
 from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene

@@ -1,41 +1,38 @@
-"""Gain of each deviation from the paper on the built-in scenes.
+"""Gain of each deviation from the paper on the corpus.
 
     python docs/tools/measure_deviations.py             prints the tables of docs/deviations.md
-    python docs/tools/measure_deviations.py --write     puts them there
+    python docs/tools/measure_deviations.py --write     puts them there, and all figures into measured/deviations.json
 
 Each row takes the paper's way in one point and keeps everything else: by an option of the pipeline where there is one,
-else by a change to a copy of the kernels. All frames of all scenes are pooled: PSNR of the mean squared error of
-display values.
+else by a change to a copy of the kernels. All sequences of the group "scenes" are pooled: PSNR of the mean squared
+error of display values. Figures are cached, as by `quality.py`.
 """
 
 from __future__ import annotations
 
 import argparse
-import os
 import re
 import shutil
-import sys
 import tempfile
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
-import numpy as np
-from pages import table, write_tables
-from situation_regions import region_of_situation, submitted_frames
+from corpus import Line, corpus_lines, rendered
+from pages import REPOSITORY, table, write_record, write_tables
+from quality import VARIANTS, Side, cells_of, show_progress, signed
 
-from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneFrames, SceneRenderer, load_scene
-from gffe_cl.engine.opencl.device import Device, open_device
-from gffe_cl.engine.opencl.program import kernel_folder
-from gffe_cl.engine.options import Options
-from gffe_cl.engine.pipeline.pipeline import Pipeline
-from gffe_cl.lab.metrics import METRICS, RegionErrors, to_display
+from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.lab.metrics import REGIONS, decibels
 
-ALPHA, FPS = 0.5, 30.0
-ALPHAS = (0.25, 0.5, 0.75, 1.0)
-REGIONS = ("whole", "holes", "moving", "rest")
-PSNR = (METRICS["psnr"],)
+HALF, HALF_GAE, WHOLE, WHOLE_GAE = VARIANTS  # α = ½ and 1, with the network and without
+HOLES = "out of screen", "static disocclusion", "dynamic disocclusion"
+PARTS_OF_FRAME = {
+    "whole frame": tuple(REGIONS),
+    "holes": HOLES,
+    "movers": ("dynamic",),
+    "the rest": tuple(name for name in REGIONS if name not in (*HOLES, "dynamic")),
+}
 
 
 @dataclass(frozen=True)
@@ -45,7 +42,7 @@ class Change:
     options : of the pipeline
     constants : by kernel file, of its `#define`s
     edits : by kernel file, pieces of its text (white space is as it comes) with what takes their place
-    camera : whether the frame's true camera is known
+    camera : whether the new frame's true camera is known
     """
 
     options: dict[str, object] = field(default_factory=dict)
@@ -161,195 +158,128 @@ SCN: dict[str, Change] = {
     "texture stays whatever the network says": Change(constants={"shading_flow.cl": {"TEXTURE": "-1e30f"}}),
     "(focus mask, as in the paper)": Change({"focus_mask": False}),
 }
-# For situations: the part that is for each, with what takes its place, and the region concerned. Both ways go without
-# their own part alone: "handheld" is measured with predicted cameras throughout.
+# For situations: the part that is for each, with what takes its place. Both ways go without their own part alone:
+# "handheld" has predicted cameras throughout.
 NO_NETWORK = Change({"shading_correction": False})
-PREDICTED = Change(camera=False)
-FOR_SITUATIONS: dict[str, tuple[str, Change, str]] = {
-    "bars": ("hidden parts of movers", GAE["hidden parts of movers"], "movers"),
-    "balls": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
-    "rotors": ("acceleration", GAE["movers' acceleration goes on"], "movers"),
-    "handheld": ("`--camera-order auto`; 1", PREDICTED | Change({"camera_order": 1}), "all"),
-    "cab": ("fixed to the camera", CAMERA_FIXED, "movers"),
-    "wipers": ("what the camera carries", CARRIED, "movers"),
-    "shadows": ("network", NO_NETWORK, "light"),
-    "fan": ("network", NO_NETWORK, "light"),
+FOR_SITUATIONS: dict[str, tuple[str, Change]] = {
+    "bars": ("hidden parts of movers", GAE["hidden parts of movers"]),
+    "railings": ("movers that come into view", Change({"entering": False})),
+    "balls": ("acceleration", GAE["movers' acceleration goes on"]),
+    "rotors": ("acceleration", GAE["movers' acceleration goes on"]),
+    "handheld": ("`--camera-order auto`; 1", Change({"camera_order": 1})),
+    "cab": ("fixed to the camera", CAMERA_FIXED),
+    "wipers": ("what the camera carries", CARRIED),
+    "shadows": ("network", NO_NETWORK),
+    "fan": ("network", NO_NETWORK),
 }
 
 
-@contextmanager
-def kernels_with(change: Change) -> Iterator[None]:
-    """Pipelines made here use kernels with `change`."""
-    before = os.environ.get("GFFE_KERNELS")
-    with tempfile.TemporaryDirectory() as folder:
-        made = Path(folder) / "kernels"
-        shutil.copytree(kernel_folder(), made)
-        for file in {*change.constants, *change.edits}:
-            (made / file).write_text(change.applied(file, (made / file).read_text()))
-        os.environ["GFFE_KERNELS"] = str(made)
-        try:
-            yield
-        finally:
-            if before is None:
-                del os.environ["GFFE_KERNELS"]
-            else:
-                os.environ["GFFE_KERNELS"] = before
+FIXED = (1.0, 1.4, 2.0, 2.8, 4.0)  # pixels: static thresholds to compare the automatic one with
 
 
-def measure(
-    device: Device, changes: dict[str, Change], options: Options, setting: argparse.Namespace
-) -> dict[str, RegionErrors]:
-    """Return errors of `options` with each of `changes`, over all scenes; the first one's holes and movers are the
-    regions."""
-    errors = {name: RegionErrors() for name in changes}
-    for scene_name in setting.scenes:
-        for seed in range(setting.seeds):
-            for _, truth, shown, regions in shown_frames(
-                device, changes, options, setting, (scene_name, seed), (ALPHA,)
-            ):
-                for name, picture in shown.items():
-                    errors[name].add(picture, truth, regions, PSNR)
-    return errors
+class Measure:
+    """Figures of changes on the corpus."""
+
+    def __init__(self, lines: list[Line]):
+        device = open_device(None)
+        self.files = {line.name: rendered(line, device) for line in lines}
+
+    def cells(self, name: str, change: Change, lines: Iterable[Line]) -> dict[str, dict]:
+        """Return the cells of the working tree with a change, by name of the sequence."""
+        chosen = [line if change.camera else replace(line, camera="predicted") for line in lines]
+        with tempfile.TemporaryDirectory() as folder:
+            kernels = Path(folder) / "kernels"
+            shutil.copytree(REPOSITORY / "kernels", kernels)
+            for file in {*change.constants, *change.edits}:
+                (kernels / file).write_text(change.applied(file, (kernels / file).read_text()))
+            return cells_of(Side(name, REPOSITORY, kernels, change.options), chosen, self.files, show_progress)
 
 
-def shown_frames(
-    device: Device,
-    changes: dict[str, Change],
-    options: Options,
-    setting: argparse.Namespace,
-    scene_and_seed: tuple[str, int],
-    alphas: tuple[float, ...],
-    concerned: str | None = None,
-) -> Iterator[tuple[float, np.ndarray, dict[str, np.ndarray], dict[str, np.ndarray]]]:
-    """Yield each new frame of a scene: α, the truth and the results of `options` with each of `changes`, as display
-    values, and the regions (masks) by the first of `changes`; or, with `concerned`, the whole and that region of a
-    situation."""
-    print(f"\r{scene_and_seed[0]}, seed {scene_and_seed[1]}".ljust(40), end="", file=sys.stderr, flush=True)
-    scene = load_scene(*scene_and_seed)
-    frames = SceneFrames(SceneRenderer(device, scene, *setting.size))
-    pipelines = {}
-    for name, change in changes.items():
-        with kernels_with(change):
-            pipelines[name] = Pipeline(device, *setting.size, replace(options, **change.options), fps=FPS)
-        pipelines[name].exposure = scene.exposure
-    for _, frame, measured in submitted_frames(frames, pipelines.values(), setting.frames, FPS, ALPHA):
-        for alpha in alphas if measured is not None else ():
-            time = frame.time + alpha / FPS
-            camera = frames.display_camera(time)
-            truth = to_display(frames.truth(time).read("color"), scene.exposure)
-            shown, regions = {}, {}
-            for name, pipeline in pipelines.items():
-                made = pipeline.extrapolate(camera if changes[name].camera else None, time)
-                regions = regions or (_regions(made) if concerned is None else {})
-                shown[name] = to_display(made.numpy("color"), scene.exposure)
-            if concerned:
-                region = region_of_situation(concerned, frames, (frame.time, frame.time - 1 / FPS), time)
-                regions = {"whole": np.ones_like(region), "region": region}
-            yield alpha, truth, shown, regions
+def pooled(cells: Iterable[dict], variant: str, part: str = "whole frame") -> tuple[float, int]:
+    """Return the PSNR in dB of all squared errors of a variant in a part of the frame, and its pixels."""
+    found = [cell[variant]["regions"][name] for cell in cells for name in PARTS_OF_FRAME[part]]
+    total, count = map(sum, zip(*found, strict=True))
+    return decibels(total / max(count, 1)), count
 
 
-def _regions(made) -> dict[str, np.ndarray]:
-    holes, moving = made.numpy("disoccluded") > 0, made.numpy("dynamic") > 0
-    parts = (np.ones_like(holes), holes, moving & ~holes, ~moving & ~holes)
-    return dict(zip(REGIONS, parts, strict=True))
+def gains(cells: dict[str, dict], variant: str) -> dict[str, dict[str, float]]:
+    """Return by how many dB the first of `cells`, by name, is better than each other one, by part of the frame."""
+    ours, *names = cells
+    return {
+        name: {
+            part: pooled(cells[ours].values(), variant, part)[0] - pooled(cells[name].values(), variant, part)[0]
+            for part in PARTS_OF_FRAME
+        }
+        for name in names
+    }
 
 
-def signed(value: float) -> str:
-    return f"{value:+.2f}".replace("-", "−")
-
-
-def gains(errors: dict[str, RegionErrors], rows: dict[str, str]) -> list[tuple[str, ...]]:
-    """Return rows of a table: by how much the errors without a change are below those of each row, dB."""
-    ours = errors[""]
-    return [
-        (title, *(signed(ours.figure("psnr", r) - errors[name].figure("psnr", r)) for r in REGIONS))
-        for name, title in rows.items()
-    ]
-
-
-def gae_table(device: Device, setting: argparse.Namespace) -> str:
-    changes = {"": Change(), **GAE, "all": PAPER} | {name: change for name, (change, _) in CHOICES.items()}
-    errors = measure(device, changes, Options(shading_correction=False), setting)
-    rows = {name: name for name in GAE} | {"all": "**all of these together**"}
-    rows |= {name: f"{name} (against: {other})" for name, (_, other) in CHOICES.items()}
-    ours = errors[""]
-    shares = ("share of the pixels", *(f"{ours.share(r):.1%}" for r in REGIONS))
-    levels = ("PSNR with all of these, dB", *(f"{ours.figure('psnr', r):.2f}" for r in REGIONS))
-    return table(GAIN_HEADS, [shares, levels, *gains(errors, rows)])
-
-
-def scn_table(device: Device, setting: argparse.Namespace) -> str:
-    errors = measure(device, {"": Change(), **SCN}, Options(shading_correction=True), setting)
-    return table(GAIN_HEADS, gains(errors, {name: name for name in SCN}))
-
-
-def parts_table(device: Device, setting: argparse.Namespace) -> str:
-    """Return the gain of each part beyond the paper by scene and α, PSNR of the whole frame."""
-    changes = {"": Change()} | {name: GAE[name] for name in PARTS}
-    rows = []
-    for scene in setting.scenes:
-        by_alpha = {alpha: {name: RegionErrors() for name in changes} for alpha in ALPHAS}
-        for seed in range(setting.seeds):
-            for alpha, truth, shown, regions in shown_frames(
-                device, changes, Options(shading_correction=False), setting, (scene, seed), ALPHAS
-            ):
-                for name, picture in shown.items():
-                    by_alpha[alpha][name].add(picture, truth, regions, PSNR)
-        row = [scene]
-        for part in PARTS:
-            of_alphas = (gains(errors, {part: part})[0][1] for errors in by_alpha.values())
-            row.append(", ".join(of_alphas))
-        rows.append(row)
-    return table((f"gain in dB, α = {', '.join(f'{a:g}' for a in ALPHAS)}", *PARTS), rows)
-
-
-def situations_table(device: Device, setting: argparse.Namespace) -> str:
-    """Return PSNR by situation: the paper's way, everything, and everything but the part that is for it."""
-    ways = ("the paper's way", "all", "all but that part")
-    heads = [f"{way}, α = {alpha:g}" for alpha in (0.5, 1.0) for way in ways]
-    rows = []
-    for name, (part, without, region) in FOR_SITUATIONS.items():
-        known = Change() if without.camera else PREDICTED
-        changes = dict(zip(ways, (PAPER | NO_NETWORK | known, known, without), strict=True))
-        changes[ways[0]].options.update(camera_order=1)
-        errors = {(alpha, way): RegionErrors() for alpha in (0.5, 1.0) for way in ways}
-        for seed in range(setting.seeds):
-            for alpha, truth, shown, regions in shown_frames(
-                device, changes, Options(), setting, (name, seed), (0.5, 1.0), concerned=region
-            ):
-                for way, picture in shown.items():
-                    errors[alpha, way].add(picture, truth, regions, PSNR)
-        share = errors[0.5, ways[0]].share("region")
-        figures = (f"{e.figure('psnr', 'whole'):.2f} / {e.figure('psnr', 'region'):.2f}" for e in errors.values())
-        rows.append((f"`{name}`", part, f"{region}, {share:.0%}", *figures))
-    return table(("PSNR, dB: frame / region", "part", "region", *heads), rows)
-
-
-GAIN_HEADS = ("gain in dB, PSNR over", "whole frame", "holes", "movers", "the rest")
-TABLES: dict[str, Callable[[Device, argparse.Namespace], str]] = {
-    "gae": gae_table,
-    "parts": parts_table,
-    "scn": scn_table,
-    "situations": situations_table,
-}
+def gains_table(found: dict[str, dict[str, float]], first: Iterable[Iterable[str]] = ()) -> str:
+    rows = [(name, *map(signed, values.values())) for name, values in found.items()]
+    return table(("gain in dB, PSNR over", *PARTS_OF_FRAME), [*first, *rows])
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--write", action="store_true", help="into docs/deviations.md")
-    parser.add_argument("--tables", nargs="*", choices=TABLES, default=list(TABLES))
-    parser.add_argument("--scenes", nargs="*", choices=(*SCENES, *SITUATIONS), default=list(SCENES))
-    parser.add_argument("--seeds", type=int, default=1)
-    parser.add_argument("--frames", type=int, default=8)
-    parser.add_argument("--size", type=int, nargs=2, default=(480, 270))
-    parser.add_argument("--device")
-    setting = parser.parse_args()
-    device = open_device(setting.device)
-    for name in setting.tables:
-        made = TABLES[name](device, setting)
-        print(f"\n{made}", flush=True)
-        if setting.write:
-            write_tables("deviations.md", {name: made})
+    parser.add_argument("--write", action="store_true", help="into docs/deviations.md and docs/measured")
+    given = parser.parse_args()
+    scenes = [line for line in corpus_lines() if line.group == "scenes"]
+    situations = [line for line in corpus_lines() if line.group == "situations"]
+    encoded = [line for line in corpus_lines() if line.group == "encoded"]
+    measure = Measure(scenes + situations + encoded)
+
+    ways = {"": Change(), **GAE, "**all of these together**": PAPER}
+    ways |= {f"{name} (against: {other})": change for name, (change, other) in CHOICES.items()}
+    cells = {name: measure.cells(name, change | NO_NETWORK, scenes) for name, change in ways.items()}
+    levels = [pooled(cells[""].values(), HALF_GAE, part) for part in PARTS_OF_FRAME]
+    first = [
+        ("share of the pixels", *(f"{count / levels[0][1]:.1%}" for _, count in levels)),
+        ("PSNR with all of these, dB", *(f"{level:.2f}" for level, _ in levels)),
+    ]
+    record = {"gae": gains(cells, HALF_GAE)}
+    tables = {"gae": gains_table(record["gae"], first)}
+
+    record["parts"], rows = {}, []
+    for scene in dict.fromkeys(line.generator for line in scenes):
+        of = {name: {k: v for k, v in cells[name].items() if k.startswith(f"{scene}:")} for name in ("", *PARTS)}
+        by_alpha = [gains(of, variant) for variant in (HALF_GAE, WHOLE_GAE)]
+        values = record["parts"][scene] = {part: [found[part]["whole frame"] for found in by_alpha] for part in PARTS}
+        rows.append((scene, *(", ".join(map(signed, pair)) for pair in values.values())))
+    tables["parts"] = table(("gain in dB, α = ½, 1", *PARTS), rows)
+
+    with_network = {name: measure.cells(name, change, scenes) for name, change in ({"": Change()} | SCN).items()}
+    record["scn"] = gains(with_network, HALF)
+    tables["scn"] = gains_table(record["scn"])
+
+    record["situations"], rows = {}, []
+    for name, (part, without) in FOR_SITUATIONS.items():
+        of = [line for line in situations if line.generator == name]
+        paper = PAPER | NO_NETWORK | Change({"camera_order": 1})
+        ways = {"the paper's way": paper, "all": Change(), "all but that part": without}
+        found = {way: measure.cells(f"{name}, {way}", change, of) for way, change in ways.items()}
+        values = [pooled(found[way].values(), variant)[0] for variant in (HALF, WHOLE) for way in ways]
+        record["situations"][name] = values
+        rows.append((f"`{name}`", part, *(f"{value:.2f}" for value in values)))
+    heads = [f"{way}, α = {alpha}" for alpha in ("½", "1") for way in ways]
+    tables["situations"] = table(("PSNR, dB", "part", *heads), rows)
+
+    record["encodings"], rows = {}, []
+    thresholds = {value: Change({"static_threshold": value}) | NO_NETWORK for value in (None, *FIXED)}
+    found = {value: measure.cells(f"ε {value}", change, encoded) for value, change in thresholds.items()}
+    levels = {v: {name: cell[HALF_GAE]["psnr"] for name, cell in of.items()} for v, of in found.items()}
+    for line in encoded:
+        best = max(levels[value][line.name] for value in FIXED)
+        own, exact = levels[None][line.name], levels[None][f"{line.generator}:{line.seed}, exact"]
+        values = record["encodings"][line.name] = [own, own - exact, own - best]
+        rows.append((line.name, f"{values[0]:.2f}", *map(signed, values[1:])))
+    heads = "sequence, encoding", "PSNR, dB", "against exact buffers, dB", "against the best fixed ε, dB"
+    tables["encodings"] = table(heads, rows)
+
+    show_progress("")
+    print("\n\n".join(tables.values()))
+    if given.write:
+        write_tables("deviations.md", tables)
+        write_record("deviations", record)
 
 
 if __name__ == "__main__":
