@@ -27,6 +27,7 @@ def urls():
     if name:
         source = f"{os.environ.get('GITHUB_SERVER_URL', 'https://github.com')}/{name}"
         found |= {"Source": source, "Issues": f"{source}/issues", "Documentation": f"{source}/tree/main/docs"}
+        found["Changelog"] = f"{source}/blob/main/CHANGELOG.md"
     return found
 
 

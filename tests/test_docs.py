@@ -13,7 +13,7 @@ from typer.main import get_command
 
 import gffe_cl
 from gffe_cl.captures.sequence.description import Description, FrameEntry, describe
-from gffe_cl.cli.commands import app
+from gffe_cl.cli.commands import app, invoke
 from gffe_cl.engine.core.public_names import GONE, removal
 
 ROOT = Path(__file__).parent.parent
@@ -41,6 +41,22 @@ def test_every_python_example_is_run():
     of_the_viewer = 2  # the panel of docs/map.md, which runs in the window's test
     written = sum(text.count("```python") for text in TEXTS.values())
     assert written - of_the_viewer == len(EXAMPLES) >= 5
+
+
+@pytest.mark.long
+@pytest.mark.device
+def test_the_notebook_runs(device, tmp_path, monkeypatch):
+    """Its ten cells in their order; lines that begin with ! are commands, and the last cell shows a picture."""
+    monkeypatch.chdir(tmp_path)
+    cells = json.loads((ROOT / "docs/examples/ten_cells.ipynb").read_text())["cells"]
+    names, printed = {}, io.StringIO()
+    for text in ("".join(cell["source"]) for cell in cells if cell["cell_type"] == "code"):
+        for line in re.findall(r"^!gffe (.*)\n", text, re.M):
+            assert invoke(shlex.split(line)) == 0
+        with contextlib.redirect_stdout(printed):
+            exec(re.sub(r"^!.*", "", text, flags=re.M), names)
+    repeated, extrapolated = map(float, re.findall(r"([\d.]+) dB", printed.getvalue()))
+    assert len(cells) == 10 and extrapolated > repeated + 3 and names["picture"].size == (960, 540)
 
 
 def _without_blocks(text):

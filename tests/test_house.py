@@ -109,10 +109,10 @@ LEDGER = {
     "gffe_cl": 37_678,
     "viewer": 11_998,
     "kernels": 10_180,
-    "tests": 28_007,
+    "tests": 28_085,
     "docs/tools": 4_147,
     "docs/examples": 1_822,
-    "docs/*.md": 4_401,
+    "docs/*.md": 4_410,
 }
 MOST_MODULES = 203
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}

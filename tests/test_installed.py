@@ -1,15 +1,20 @@
 """Installed copies: what a wheel holds, and that it works with the newest and the lowest versions of what it needs."""
 
+import json
 import os
 import re
 import shutil
 import subprocess
 import sys
+import tarfile
+import tomllib
 from pathlib import Path
 from zipfile import ZipFile
 
 import pytest
 from xvfb import require_screen
+
+from gffe_cl import __version__
 
 ROOT = Path(__file__).parents[1]
 PARTS = {"gffe_cl": "gffe_cl", "kernels": "gffe_cl/kernels", "viewer": "gffe_cl/viewer"}  # folders of the package
@@ -25,13 +30,15 @@ def uv(*arguments):
 
 
 @pytest.fixture(scope="module")
-def wheel(tmp_path_factory):
-    """Built from a source distribution, as by installers that find no wheel, with things in it that are nobody's."""
+def built(tmp_path_factory):
+    """Folder of a source distribution, and of the wheel built from that, as by installers that find no wheel; with
+    things in the source that are nobody's."""
     source, built = tmp_path_factory.mktemp("source"), tmp_path_factory.mktemp("built")
-    for name in PARTS:
-        shutil.copytree(ROOT / name, source / name, ignore=shutil.ignore_patterns("__pycache__"))
-    for name in ("pyproject.toml", "setup.py", "README.md", "LICENSE"):
-        shutil.copy(ROOT / name, source)
+    for name in (*PARTS, ".ci", "docs", "tests"):
+        shutil.copytree(ROOT / name, source / name, symlinks=True, ignore=shutil.ignore_patterns("__pycache__"))
+    for path in ROOT.iterdir():
+        if path.is_file() and not path.name.startswith("."):
+            shutil.copy(path, source)
     for name in (".env", "notes.txt~", "engine/.secret", "engine/export/c/.DS_Store"):
         (source / "gffe_cl" / name).write_text("not for others")
     (source / "gffe_cl" / "again").symlink_to(source / "gffe_cl")
@@ -39,8 +46,53 @@ def wheel(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("GITHUB_REPOSITORY", "someone/gffe-cl")
         uv("build", "--out-dir", built, source)
+    return built
+
+
+@pytest.fixture
+def wheel(built):
     (path,) = built.glob("*.whl")
     return path
+
+
+def test_source_distribution_runs_its_tests(built, tmp_path):
+    """... and has all of them, with the documentation that they read."""
+    (path,) = built.glob("*.tar.gz")
+    with tarfile.open(path) as archive:
+        archive.extractall(tmp_path, filter="data")
+    (source,) = tmp_path.iterdir()
+    for name in ("docs", "tests"):
+        held, there = (
+            {path.relative_to(root).as_posix() for path in (root / name).rglob("*") if path.is_file()}
+            for root in (source, ROOT)
+        )
+        assert held == {path for path in there if "__pycache__" not in path and not Path(path).name.startswith(".")}
+    chosen = ("tests/test_gone.py", "tests/test_docs.py", "tests/engine/frame/test_camera.py")
+    command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", "-m", "not long", *chosen]
+    environment = os.environ | {"PYTHONPATH": str(source)}
+    done = subprocess.run(command, cwd=source, env=environment, capture_output=True, text=True, timeout=600)
+    assert done.returncode == 0 and "failed" not in done.stdout, done.stdout + done.stderr
+
+
+def test_image_has_a_demonstration(tmp_path):
+    """The Dockerfile's steps, in a fresh environment in place of a container: Debian's packages are those of CI."""
+    lines = (ROOT / "Dockerfile").read_text().splitlines()
+    runs = [step.split() for line in lines if line.startswith("RUN ") for step in line[4:].split(" && ")]
+    (packages,) = (run[4:] for run in runs if run[:2] == ["apt-get", "install"])
+    (installs,) = (run[2:] for run in runs if run[:2] == ["pip", "install"])
+    assert "USER nobody" in lines and set(packages) <= set((ROOT / ".ci/run").read_text().split())
+    uv("venv", "--python", sys.executable, tmp_path / "environment")
+    words = [word.strip("'").replace("/source", str(ROOT)) for word in installs if word != "--no-cache-dir"]
+    uv("pip", "install", "--python", tmp_path / "environment", *words)
+    (demo,) = (json.loads(line[4:]) for line in lines if line.startswith("CMD "))
+    (variables,) = (dict(word.split("=") for word in line[4:].split()) for line in lines if line.startswith("ENV "))
+    command = [
+        tmp_path / "environment/bin" / demo[0],
+        *(word.replace("/out", str(tmp_path / "out")) for word in demo[1:]),
+    ]
+    environment = {name: value for name, value in os.environ.items() if name != "PYTHONPATH"} | variables
+    subprocess.run([*command, "--size", "64x36"], env=environment, check=True, timeout=600)
+    assert (tmp_path / "out/demo/contact_sheet.png").is_file()
 
 
 def test_wheel_holds_the_package_and_nothing_else(wheel):
@@ -58,6 +110,16 @@ def test_wheel_holds_the_package_and_nothing_else(wheel):
     held = {name for name in ZipFile(wheel).namelist() if ".dist-info/" not in name}
     assert held == there
     assert {".cl", ".h", ".c", ".onnx", ".frag", ".vert", ".bin"} <= {Path(name).suffix for name in held}
+
+
+def test_conda_recipe_asks_for_what_the_package_does():
+    project, recipe = (tomllib.loads((ROOT / "pyproject.toml").read_text())["project"], ROOT / ".ci/recipe.yaml")
+    wanted = {*project["dependencies"], *project["optional-dependencies"]["lab"][:2]}
+    held = {" ".join(re.split("(?=>=)", each)).lower().replace("openexr", "openexr-python") for each in wanted}
+    text, of_the_viewer = recipe.read_text(), {name for name in held if name.startswith(("glfw", "imgui", "moderngl"))}
+    run = text[text.index("  run:") : text.index("tests:")]
+    assert set(re.findall("    - (.*)", run)) == held - of_the_viewer | {"pocl", f"python {project['requires-python']}"}
+    assert f'version: "{__version__}"' in text and f"version: {__version__}\n" in (ROOT / "CITATION.cff").read_text()
 
 
 LAB = ("-r", ROOT / "pyproject.toml", "--extra", "lab", "--extra", "video")
