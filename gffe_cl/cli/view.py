@@ -13,10 +13,14 @@ from gffe_cl.cli.common import (
     NoCheckOption,
     OverwriteOption,
     app,
+    out,
     output_file,
     parse_size,
+    plain,
+    progress_bars,
     takes_options,
 )
+from gffe_cl.cli.common import steps as steps_of
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_seed
 
@@ -56,11 +60,19 @@ ScreenshotOption = Annotated[
         callback=output_file("--screenshot", media=True),
     ),
 ]
+ExportOption = Annotated[
+    Path | None,
+    typer.Option(
+        help="Folder for a page with pictures, values and figures, which any browser opens from the disk; needs no"
+        " display."
+    ),
+]
 FrameOption = Annotated[
-    str,
+    str | None,
     typer.Option(
         help="Frame in the screenshot: its number on the timeline (9, generated frames counted), or the rendered"
-        " frame and the way to the next (4+1/2)."
+        " frame and the way to the next (4+1/2). Of a page several, with commas, or 4..9"
+        " [dim](default: 0; of a page all generated ones)[/]."
     ),
 ]
 ActionsOption = Annotated[
@@ -90,14 +102,20 @@ def view(
     device: DeviceOption = None,
     window_size: WindowSizeOption = None,
     screenshot: ScreenshotOption = None,
-    frame: FrameOption = "0",
-    layer: Annotated[str, typer.Option(help="Layer in the screenshot, such as final or disoccluded.")] = "final",
-    other: Annotated[str | None, typer.Option("--with", help="Layer to compare with, in the screenshot.")] = None,
+    export: ExportOption = None,
+    frame: FrameOption = None,
+    layer: Annotated[
+        str, typer.Option(help="Layer in the screenshot, such as final or disoccluded; of a page several, with commas.")
+    ] = "final",
+    other: Annotated[
+        str | None,
+        typer.Option("--with", help="B: a layer, or a folder with a sequence, an output of `gffe run`, or kernels."),
+    ] = None,
     compare: Annotated[
-        str, typer.Option(help="Comparison in the screenshot: off, split, difference, error or 'flip error'.")
-    ] = "off",
+        str | None, typer.Option(help="Comparison in the screenshot: off, split, difference, error or 'flip error'.")
+    ] = None,
     pixel: Annotated[str | None, typer.Option(help="Pixel that the screenshot explains: X,Y, such as 120,45.")] = None,
-    overview: Annotated[bool, typer.Option("--overview", help="All layers as tiles in the screenshot.")] = False,
+    overview: Annotated[bool, typer.Option("--overview", help="All layers, in the screenshot as tiles.")] = False,
     script: Annotated[
         Path | None, typer.Option(help="Script with one action per line (docs/guide.md); the viewer exits at its end.")
     ] = None,
@@ -110,40 +128,51 @@ def view(
     options: Options,
 ) -> None:
     """Open the viewer: play, look into every stage, find out why a pixel is wrong."""
-    _require_packages()
+    if export is None:
+        _require_packages()
     from gffe_cl.captures.scenes import is_scene
     from gffe_cl.engine.inference.network import load_network
+    from gffe_cl.viewer.engine.jobs import leaving
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
-    from gffe_cl.viewer.state.model import Model
-    from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
-    from gffe_cl.viewer.window.running import new_app, run
-    from gffe_cl.viewer.window.script import FILMS, parse, play_script, require_file, take_screenshot, unopened
-    from gffe_cl.viewer.window.start import leaving, require_display
+    from gffe_cl.viewer.state.page import Exporter, Plan
 
     if not 1 <= n <= 7:
         raise GffeError(f"-n must be 1 to 7 generated frames per rendered frame, got {n}")
-    alone = [name for name, given in (("--screenshot", screenshot), ("--script", script)) if given]
+    alone = [
+        name for name, given in (("--screenshot", screenshot), ("--script", script), ("--export", export)) if given
+    ]
     if target is None and alone:
         raise GffeError(f"{alone[0]} needs a sequence or a scene")
     if len(alone) > 1:
         raise GffeError(f"{' and '.join(alone)} exclude each other")
-    if film is not None:
-        require_file(film, "film", FILMS)
-        if script is None:
-            raise GffeError("--film needs a --script with the steps to film")
-    steps = [] if script is None else parse(script, unopened().actions)
     if window not in (None, "off") and target is not None and not is_scene(target):
         raise GffeError(f"--window {window}: only built-in scenes are rendered through a chosen window (expected off)")
     if not 0 <= cache <= 1 << 20:
         raise GffeError(f"--cache must be 0 to 1048576 MiB, got {cache}")
     plan = ScenePlan(*parse_size(size), require_seed(seed, "--seed"))
-    viewer_size = None if window_size is None else parse_size(window_size)
-    if viewer_size is not None and min(viewer_size) < LEAST_WINDOW:
-        raise GffeError(f"--window-size must be at least {LEAST_WINDOW} pixels each way, got '{window_size}'")
     asked = options.shading_correction, options.scn_model, options.scn_provider
     remark = ""
     if options.corrects_shading and asked != (None, None, None):
         remark = load_network(options.scn_model, options.scn_provider).remark  # an explicit request must work
+    if export is not None and target is not None:
+        layers = "" if overview else layer
+        page = Plan(target, plan, options, device, n, window, frame or "", layers, other, compare or "split")
+        with leaving(exporter := Exporter(page)), progress_bars() as progress:
+            out.print(plain(exporter.write(export, overwrite, steps_of(progress))))
+        return
+    from gffe_cl.viewer.state.model import Model
+    from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
+    from gffe_cl.viewer.window.running import new_app, require_display, run
+    from gffe_cl.viewer.window.script import FILMS, parse, play_script, require_file, take_screenshot, unopened
+
+    if film is not None:
+        require_file(film, "film", FILMS)
+        if script is None:
+            raise GffeError("--film needs a --script with the steps to film")
+    steps = [] if script is None else parse(script, unopened().actions)
+    viewer_size = None if window_size is None else parse_size(window_size)
+    if viewer_size is not None and min(viewer_size) < LEAST_WINDOW:
+        raise GffeError(f"--window-size must be at least {LEAST_WINDOW} pixels each way, got '{window_size}'")
     require_display()
     by_hand = not alone
     settings, warning = Settings.load() if by_hand else (Settings(), None)
@@ -169,7 +198,7 @@ def view(
             listed = [
                 ("--frame", "seek", frame),
                 ("--layer", "layer", layer),
-                ("--with", "with", other),
+                ("--with", "from" if other is not None and Path(other).is_dir() else "with", other),
                 ("--compare", "compare", compare),
                 ("--pixel", "pixel", pixel),
                 ("--overview", "overview", "" if overview else None),

@@ -37,6 +37,7 @@ codes = {
     "bench": gffe("bench", "--sizes", "96x54", "--repeats", "1", "--no-scn"),
     "check": gffe("check", "--help"),
     "view": gffe("view", sequence),
+    "page": gffe("view", sequence, "--no-scn", "--export", out + "/page"),
     "eval": gffe("eval", sequence),
     "demo": gffe("demo"),
 }
@@ -52,7 +53,7 @@ def test_only_those_who_need_packages_ask_for_them(tmp_path):
     done = subprocess.run([sys.executable, "-c", BLOCKED + WORKS, *paths], capture_output=True, text=True)
     assert done.returncode == 0, done.stderr
     codes, unknown = json.loads((tmp_path / "report.json").read_text())
-    assert codes == {"devices": 0, "run": 0, "bench": 0, "check": 0, "view": 2, "eval": 2, "demo": 2}
+    assert codes == {"devices": 0, "run": 0, "bench": 0, "check": 0, "view": 2, "page": 0, "eval": 2, "demo": 2}
     assert not unknown
     assert (tmp_path / "out" / "sequence.json").is_file()
     said = " ".join(done.stderr.split())

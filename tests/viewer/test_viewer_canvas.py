@@ -29,7 +29,7 @@ from gffe_cl.viewer.picture.displays import (
     default_display,
     fitted,
 )
-from gffe_cl.viewer.picture.shown_numbers import numbers_of
+from gffe_cl.viewer.picture.shown_numbers import Texels, numbers_of
 from gffe_cl.viewer.picture.view import CLIPPING, FLIP_MAP, View
 
 LEVEL = 1.01 / 255  # half a level of rounding, and as much for powers
@@ -80,12 +80,19 @@ def drawn(canvas, view, size) -> np.ndarray:
 
 
 def shown(canvas, spec, array, display=None, **view) -> np.ndarray:
-    """`array` drawn pixel for pixel."""
+    """`array` drawn pixel for pixel, as pages have it, too."""
     height, width = array.shape[1:3] if spec.planes > 1 else array.shape[:2]
     canvas.frame = replace(canvas.frame, display_size=(width, height))
     canvas.upload(spec.name, array, spec)
-    view = View(spec.name, display or default_display(spec), **{"center": (width / 2, height / 2)} | view)
-    return drawn(canvas, view, (width, height))
+    display = display or default_display(spec)
+    made = drawn(canvas, View(spec.name, display, **{"center": (width / 2, height / 2)} | view), (width, height))
+    if not view:
+        depth = canvas._layers.get("rendered.depth")
+        depth = depth and np.frombuffer(depth.texels.read(), np.float32).reshape(height, width)
+        plane = array[min(display.plane, spec.planes - 1)] if spec.planes > 1 else array
+        layer = Texels(spec, display, plane.reshape(height, width, -1), canvas.frame, depth)
+        close(layer.picture(View.background) / 255, made, 3)
+    return made
 
 
 def close(image, expected, levels=1.0):

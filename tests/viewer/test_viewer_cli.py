@@ -63,6 +63,8 @@ def refused(gffe, *arguments, display=None, **environment):
     ("arguments", "told"),
     [
         (["--screenshot", "a.png"], "needs a sequence or a scene"),
+        (["--export", "page"], "--export needs a sequence or a scene"),
+        (["in", "--export", "nowhere/page"], "--export nowhere/page: cannot write (No such file"),
         (["in", "--cache", "-1"], "--cache must be"),
         (["--script", "steps.txt"], "--script needs a sequence or a scene"),
         (["in", "--script", "none.txt"], "none.txt: cannot be read"),
@@ -118,7 +120,7 @@ def test_wayland_without_x11_is_named(monkeypatch):
     monkeypatch.setattr(glfw, "init", lambda: False)
     monkeypatch.delenv("DISPLAY", raising=False)
     monkeypatch.setenv("WAYLAND_DISPLAY", "wl-9")
-    from gffe_cl.viewer.window.start import require_display
+    from gffe_cl.viewer.window.running import require_display
 
     with pytest.raises(GffeError, match=r"no X display: WAYLAND_DISPLAY is wl-9, .* XWayland; without a screen: xvfb"):
         require_display()
@@ -256,7 +258,7 @@ def test_leaving_while_the_device_works(tmp_path, fault, code):
         "import atexit\n"
         "from types import SimpleNamespace\n"
         "from gffe_cl.engine.core.errors import GffeError\n"
-        "from gffe_cl.viewer.window.start import leaving\n"
+        "from gffe_cl.viewer.engine.jobs import leaving\n"
         "atexit.register(print, 'taken down')\n"
         "print('figures')\n"
         "with leaving(SimpleNamespace(close=lambda: print('closed'), left_working=True)):\n"

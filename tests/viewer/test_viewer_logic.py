@@ -24,12 +24,11 @@ from gffe_cl.viewer.engine.figures import Timings
 from gffe_cl.viewer.engine.messages import Frame, Key, Recipe, Setup
 from gffe_cl.viewer.picture.displays import Display
 from gffe_cl.viewer.picture.view import View
-from gffe_cl.viewer.state.actions import IMGUI_KEYS, Action, Actions, parse_shortcut
+from gffe_cl.viewer.state.actions import IMGUI_KEYS, Action, Actions, parse_shortcut, slot_of
 from gffe_cl.viewer.state.navigation import Framing
 from gffe_cl.viewer.state.playback import EVERY_FRAME, MODES, REAL_TIME, Playback
 from gffe_cl.viewer.state.saving import save_layers_exr, save_png, unused_name
 from gffe_cl.viewer.state.settings import Settings, default_path
-from gffe_cl.viewer.window.commands import slot_of
 from gffe_cl.viewer.window.picture import short
 from gffe_cl.viewer.window.plot import scale_of
 from gffe_cl.viewer.window.running import dispatch

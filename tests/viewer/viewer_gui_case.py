@@ -45,11 +45,11 @@ def run(phase: str, folder: Path, artifacts: Path, only: list[str]) -> None:
     import viewer_gui_settings as settings_cases
 
     from gffe_cl.engine.inference import network
+    from gffe_cl.viewer.engine.jobs import leaving
     from gffe_cl.viewer.engine.sources.opening import ScenePlan
     from gffe_cl.viewer.state.model import Model
     from gffe_cl.viewer.state.settings import Settings
     from gffe_cl.viewer.window.running import new_app
-    from gffe_cl.viewer.window.start import leaving
 
     network.default_model = lambda: None  # nothing hangs on weights that are installed
     settings, warning = Settings.load()

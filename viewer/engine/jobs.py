@@ -1,15 +1,18 @@
-"""Background work: jobs on a thread of their own, and values that are made there."""
+"""Background work: jobs on a thread of their own, and values that are made there; and leaving it at the end."""
 
 from __future__ import annotations
 
 import atexit
 import ctypes
+import os
+import sys
 import threading
 import weakref
 from collections import deque
-from collections.abc import Callable, Hashable
+from collections.abc import Callable, Hashable, Iterator
 from concurrent.futures import Future
-from typing import Any
+from contextlib import contextmanager
+from typing import Any, Protocol
 
 _PATIENCE = 5.0  # seconds that the end of the program waits for jobs under way, and then for those that it gives up
 _all: weakref.WeakSet[Jobs] = weakref.WeakSet()
@@ -118,3 +121,36 @@ def _end() -> None:
     for end in (Jobs.close, Jobs.join, Jobs.give_up, Jobs.join):
         for background in list(_all):
             end(background)
+
+
+class Leavable(Protocol):
+    """Work that `close` stops; `left_working`: the device is at work although it was called."""
+
+    @property
+    def left_working(self) -> bool: ...
+
+    def close(self) -> None: ...
+
+
+@contextmanager
+def leaving(work: Leavable) -> Iterator[None]:
+    """Close `work` at the end. If the device is still busy, end the program without shutting down the OpenCL
+    runtime, which would abort or hang: with exit code 0, or as `gffe` does after the exception."""
+    code = 2
+    try:
+        yield
+        code = 0
+    except KeyboardInterrupt:
+        code = 130
+        raise
+    finally:
+        work.close()
+        threading.excepthook = lambda _: None  # of threads that the interpreter takes down in the midst of their work
+        if work.left_working:
+            atexit.register(_exit, code)
+
+
+def _exit(code: int) -> None:
+    sys.stdout.flush()
+    sys.stderr.flush()
+    os._exit(code)

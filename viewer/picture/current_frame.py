@@ -5,7 +5,7 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -14,8 +14,10 @@ from gffe_cl.engine.inspection.layers import LayerSpec
 from ..engine.messages import Failure, Frame
 from ..engine.sources.source import FrameSource
 from ..engine.store import Store, Want
-from .canvas import Canvas
 from .displays import FrameInfo, area_of
+
+if TYPE_CHECKING:
+    from .canvas import Canvas
 
 
 class Contents:

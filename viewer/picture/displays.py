@@ -8,6 +8,7 @@ from dataclasses import asdict, dataclass, fields, replace
 from typing import Any
 
 import numpy as np
+from numpy.typing import ArrayLike
 
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection.layers import NATIVE, LayerSpec
@@ -67,13 +68,21 @@ _POLYNOMIALS = {  # of R, G and B; coefficients, constant first
 }
 
 
-def wheel_color(direction: float, length: float) -> Rgb:
-    """Return the display color of a motion: `direction` in turns from x (right) towards y (down), `length` in motion
-    scales."""
-    hue = [min(max(abs((direction * 6 + shift) % 6 - 3) - 1, 0), 1) for shift in (0, 4, 2)]
-    share = math.sqrt(min(max(length, 0), 1))
-    red, green, blue = (WHEEL_CENTER + (value - WHEEL_CENTER) * share for value in hue)
-    return red, green, blue
+def wheel_color(direction: ArrayLike, length: ArrayLike) -> np.ndarray:
+    """Return the display colors (…, 3) of motions: `direction` in turns from x (right) towards y (down), `length` in
+    motion scales."""
+    direction, length = (np.asarray(values, np.float64)[..., None] for values in (direction, length))
+    hue = np.clip(abs((direction * 6 + (0, 4, 2)) % 6 - 3) - 1, 0, 1)
+    return WHEEL_CENTER + (hue - WHEEL_CENTER) * np.sqrt(np.clip(length, 0, 1))
+
+
+def ramp_color(display: Display, values: np.ndarray, view: str) -> np.ndarray:
+    """Return the display colors (N, 3) of numbers (N,), which `view`, one of VIEWS, shows along a color map."""
+    low, high = display.low, display.high
+    if view == "depth" and display.inverse:
+        values, low, high = 1 / np.maximum(values, 1e-30), 1 / max(low, 1e-6), 1 / max(high, 2e-6)
+    at = np.clip((values - low) / (high - low if high != low else abs(low) * 1e-6 + 1e-12), 0, 1)
+    return np.stack([np.interp(255 * at, np.arange(256), column) for column in color_table(display.color_map).T], -1)
 
 
 TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")

@@ -1,4 +1,5 @@
-"""Numbers that the picture shows: the values of A or of B, or those of a comparison of both, by texel."""
+"""Numbers that the picture shows: the values of A or of B, or those of a comparison of both, by texel; and their
+colors, as display.frag has them."""
 
 from __future__ import annotations
 
@@ -11,7 +12,20 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import to_display
 from .current_frame import Contents
-from .displays import Display, FrameInfo, displaced, off_fragments, shown_as
+from .displays import (
+    LABEL_COLORS,
+    MASK_OFF,
+    SKY,
+    Display,
+    FrameInfo,
+    Rgb,
+    displaced,
+    label_flip,
+    off_fragments,
+    ramp_color,
+    shown_as,
+    wheel_color,
+)
 from .view import FLIP_MAP, FLIP_SPEC, View, difference, error
 
 
@@ -45,19 +59,21 @@ class Texels:
             values = values[:, index : index + 1]
         return values
 
+    def at(self, x: np.ndarray, y: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return rows and columns of the texels at these display positions, the nearest ones outside of the layer; and
+        whether the layer covers them."""
+        place = [
+            (at - start) / scale for at, start, scale in zip((y, x), self.start[::-1], self.scale[::-1], strict=True)
+        ]
+        size = self.image.shape[:2]
+        covers = np.logical_and.reduce([(at >= 0) & (at < most) for at, most in zip(place, size, strict=True)])
+        rows, columns = (np.clip(at.astype(int), 0, most - 1) for at, most in zip(place, size, strict=True))
+        return rows, columns, covers
+
     def beside(self, other: Texels, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray]:
         """Return rows and columns of this layer's texels where the centers of `other`'s are displayed."""
-        place = [
-            (start + (at + 0.5) * scale - own_start) / own_scale
-            for at, start, scale, own_start, own_scale in zip(
-                (columns, rows), other.start, other.scale, self.start, self.scale, strict=True
-            )
-        ]
-        x, y = (
-            np.clip(np.floor(at).astype(int), 0, size - 1)
-            for at, size in zip(place, self.image.shape[1::-1], strict=True)
-        )
-        return y, x
+        (x, y), (wide, high) = other.start, other.scale
+        return self.at(x + (columns + 0.5) * wide, y + (rows + 0.5) * high)[:2]
 
     def compared(self, rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         """Return (N, channels) of these texels as they are compared: display values of a color, vectors, or the chosen
@@ -70,16 +86,69 @@ class Texels:
             return values[:, :2]
         if view not in ("place", "world"):
             return values[:, [max(channel, 0)]]
+        by, there = self._vectors(view, values, rows, columns)
+        return np.where(there[:, None], by, np.nan)
+
+    def _vectors(
+        self, view: str, values: np.ndarray, rows: np.ndarray, columns: np.ndarray
+    ) -> tuple[np.ndarray, np.ndarray]:
+        """Return (N, channels) of the vectors to places or positions, and (N,) bool, whether there are any."""
         height, width = self.image.shape[:2]
         uv = np.stack([(columns + 0.5) / width, (rows + 0.5) / height], -1)
         if view == "place":
-            by, there = displaced(values, uv, self.frame.own_place(self.spec))
-        elif self.depth is None or self.frame.source is None:
-            return np.full((len(values), 3), np.nan)
-        else:
-            z = self.depth[rows, columns].astype(np.float64)
-            by, there = off_fragments(values, uv, z, (width, height), self.frame.source)
-        return np.where(there[:, None], by, np.nan)
+            return displaced(values, uv, self.frame.own_place(self.spec))
+        if self.depth is None or self.frame.source is None:
+            return np.zeros((len(values), 3)), np.zeros(len(values), bool)
+        z = self.depth[rows, columns].astype(np.float64)
+        return off_fragments(values, uv, z, (width, height), self.frame.source)
+
+    def on_display(self) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return `at` of the centers of all display pixels, row by row."""
+        width, height = self.frame.display_size
+        y, x = np.divmod(np.arange(width * height), width)
+        return self.at(x + 0.5, y + 0.5)
+
+    def picture(self, background: Rgb) -> np.ndarray:
+        """Return (H, W, 3) uint8: the display, pixel by pixel. Where nothing is known it is hatched, and where numbers
+        are invalid checkered."""
+        rows, columns, covers = self.on_display()
+        width, height = self.frame.display_size
+        y, x = np.divmod(np.arange(width * height), width)
+        colors, there, sound = self._colors(rows, columns)
+        checker = np.where((((x // 4) + (y // 4)) & 1)[:, None], 0.05, (1.0, 0.0, 1.0))
+        hatch = np.where((x + y) & 7 < 2, 0.30, 0.12)[:, None]
+        colors = np.where(sound[:, None], colors, checker)
+        colors = np.where(covers[:, None], np.where(there[:, None], colors, hatch), background)
+        return np.rint(255 * colors).astype(np.uint8).reshape(height, width, 3)
+
+    def _colors(self, rows: np.ndarray, columns: np.ndarray) -> tuple[np.ndarray, np.ndarray, np.ndarray]:
+        """Return (N, 3) display values of these texels, and (N,) bool: whether there is a value, and a valid one."""
+        display, (view, channel) = self.display, shown_as(self.spec, self.display)
+        values = self.image[rows, columns].astype(np.float64)
+        there = sound = np.ones(len(values), bool)
+        if view == "color":
+            if self.spec.components[3:] == ("weight",):
+                there = np.asarray(values[:, 3] != 0)
+            sound = np.isfinite(values[:, [channel]] if channel >= 0 else values[:, :3]).min(-1)
+            return self._display_values(values, channel), there, sound
+        if view in ("place", "world"):
+            values, there = self._vectors(view, values, rows, columns)
+        value = values[:, max(channel, 0)]
+        if view == "label":
+            return np.array(LABEL_COLORS)[(value.astype(int) & 15) ^ label_flip(self.spec)], there, sound
+        if view == "mask":
+            return np.where(value[:, None] != 0, display.tint, MASK_OFF), there, sound
+        sky = (value == np.inf) & (view == "depth")
+        if view == "depth":
+            there = ~(value <= 0)
+        shown = values[:, : 3 if view == "world" else 2] if view in ("motion", "place", "world") else value[:, None]
+        sound = np.isfinite(shown).min(-1) | sky
+        shown = np.where(sound[:, None] & ~sky[:, None], shown, 1.0)
+        if view in ("motion", "place"):
+            turns = np.arctan2(shown[:, 1], shown[:, 0]) / (2 * np.pi) + (0.5 if display.reverse else 0.0)
+            return wheel_color(turns, np.hypot(*shown.T) / max(display.motion_scale, 1e-6)), there, sound
+        colors = ramp_color(display, np.linalg.norm(shown, axis=-1) if view == "world" else shown[:, 0], view)
+        return np.where(sky[:, None], SKY, colors), there, sound
 
     def _display_values(self, values: np.ndarray, channel: int) -> np.ndarray:
         with np.errstate(divide="ignore", invalid="ignore"):

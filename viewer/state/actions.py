@@ -2,11 +2,22 @@
 
 from __future__ import annotations
 
+import math
 import re
 import string
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Any
+from difflib import get_close_matches
+from fractions import Fraction
+from typing import TYPE_CHECKING, Any
+
+from gffe_cl.engine.core.errors import GffeError
+
+if TYPE_CHECKING:
+    from ..picture.current_frame import Contents
+    from .playback import Playback
+
+_NEAR = 3  # names that are suggested where one is unknown
 
 MODIFIERS = ("Ctrl", "Alt", "Shift", "Super")  # in the order in which they are written
 _ALIKE = ("Space", "Home", "End", "Insert", "Delete", "Backspace", "Enter", "Escape", "Tab")
@@ -251,3 +262,53 @@ def _match(word: str, other: str) -> float:
 def _in_order(letters: str, text: str) -> bool:
     rest = iter(text)
     return all(letter in rest for letter in letters)
+
+
+# ---- arguments of actions ----------------------------------------------------------------------------------------
+
+
+def slot_of(text: str, playback: Playback) -> int:
+    """Return the slot written as "9", its number on the timeline, "4+1/2", or "4+0", a rendered frame. Raises
+    GffeError."""
+    found = re.fullmatch(r"(\d+)(?:\s*\+\s*(?:0|(\d+)/(\d+)))?", text.strip(), re.ASCII)
+    if found is None or (found[3] and not 0 < int(found[2]) < int(found[3])):
+        raise GffeError(
+            "expected a frame's number on the timeline, generated ones counted (9), or a rendered frame's and a part"
+            f" of the way to the next (4+1/2; 4+0: itself), got '{text}'"
+        )
+    parts, slot = playback.n + 1, Fraction(int(found[1]))
+    if "+" in text:
+        slot = (slot + (Fraction(int(found[2]), int(found[3])) if found[3] else 0)) * parts
+    if slot.denominator != 1:
+        raise GffeError(f"{text}: generated frames are at {found[1]}+1/{parts} and so on")
+    if slot >= playback.slots:
+        last = f"{playback.count - 1}+{playback.n}/{parts}"
+        raise GffeError(f"expected 0 to {playback.slots - 1} (0 to {last}), got {text}")
+    return int(slot)
+
+
+def found_layer(contents: Contents, name: str) -> str:
+    """Return the full name of a layer that can be shown. Raises GffeError."""
+    found = contents.find(name)
+    if found is None:
+        near = nearest(name, [spec.name for spec in contents.layers])
+        raise GffeError(f"no layer is called '{name}' (nearest: {near})")
+    if reason := contents.why_not(found):
+        raise GffeError(f"layer '{found}': {reason}")
+    return found
+
+
+def numbers(text: str, count: int) -> list[float]:
+    """Return so many finite numbers of a list such as "1,2.5". Raises GffeError."""
+    try:
+        values = [float(part) for part in text.split(",")]
+    except ValueError:
+        values = []
+    if len(values) != count or not all(map(math.isfinite, values)):
+        raise GffeError(f"expected {count} number{'s, with commas' * (count > 1)}, got '{text}'")
+    return values
+
+
+def nearest(text: str, known: list[str]) -> str:
+    """Return the names that are most similar to `text`, best first."""
+    return ", ".join(get_close_matches(text, known, _NEAR, cutoff=0.0))

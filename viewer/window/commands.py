@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import math
-import re
 from collections.abc import Callable
-from difflib import get_close_matches
-from fractions import Fraction
 from functools import partial
 from pathlib import Path
 
@@ -16,19 +12,17 @@ from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.options import Option
 from ..engine.figures import QUANTITIES
-from ..state.actions import Action, Actions
+from ..state.actions import Action, Actions, found_layer, numbers, slot_of
 from ..state.captions import Message
 from ..state.comparing import FORMULAS, WAYS
 from ..state.model import Model
 from ..state.navigation import Flight
 from ..state.parameters import ALL, parsed
-from ..state.playback import Playback
 from ..state.presets import command_line
 from ..state.saving import LayersWork, PictureWork
 from .app import App
 
 _EXPOSURE_STEP = 0.5
-_NEAR = 3  # names that are suggested where one is unknown
 _KEYS = {"split": "W", "difference": "D", "error": "M"}  # of ways of comparing
 LAYERS, _SCRIPT = "Layer", "Script"  # groups of actions that are in no menu
 _LAST = ("Tools", "Panels", "Help")  # menus after those of modules and parameters
@@ -215,50 +209,8 @@ ACTIONS = (
 # ---- actions of scripts: they take an argument --------------------------------------------------------------------
 
 
-def slot_of(text: str, playback: Playback) -> int:
-    """Return the slot written as "9", its number on the timeline, "4+1/2", or "4+0", a rendered frame. Raises
-    GffeError."""
-    found = re.fullmatch(r"(\d+)(?:\s*\+\s*(?:0|(\d+)/(\d+)))?", text.strip(), re.ASCII)
-    if found is None or (found[3] and not 0 < int(found[2]) < int(found[3])):
-        raise GffeError(
-            "expected a frame's number on the timeline, generated ones counted (9), or a rendered frame's and a part"
-            f" of the way to the next (4+1/2; 4+0: itself), got '{text}'"
-        )
-    parts, slot = playback.n + 1, Fraction(int(found[1]))
-    if "+" in text:
-        slot = (slot + (Fraction(int(found[2]), int(found[3])) if found[3] else 0)) * parts
-    if slot.denominator != 1:
-        raise GffeError(f"{text}: generated frames are at {found[1]}+1/{parts} and so on")
-    if slot >= playback.slots:
-        last = f"{playback.count - 1}+{playback.n}/{parts}"
-        raise GffeError(f"expected 0 to {playback.slots - 1} (0 to {last}), got {text}")
-    return int(slot)
-
-
-def found_layer(model: Model, name: str) -> str:
-    """Return the full name of a layer that can be shown. Raises GffeError."""
-    found = model.contents.find(name)
-    if found is None:
-        near = nearest(name, [spec.name for spec in model.contents.layers])
-        raise GffeError(f"no layer is called '{name}' (nearest: {near})")
-    if reason := model.contents.why_not(found):
-        raise GffeError(f"layer '{found}': {reason}")
-    return found
-
-
-def numbers(text: str, count: int) -> list[float]:
-    """Return so many finite numbers of a list such as "1,2.5". Raises GffeError."""
-    try:
-        values = [float(part) for part in text.split(",")]
-    except ValueError:
-        values = []
-    if len(values) != count or not all(map(math.isfinite, values)):
-        raise GffeError(f"expected {count} number{'s, with commas' * (count > 1)}, got '{text}'")
-    return values
-
-
 def _with(app: App, name: str) -> None:
-    found = found_layer(app.model, name)
+    found = found_layer(app.model.contents, name)
     if found == app.model.view.a:
         raise GffeError(f"'{found}' is compared with itself (expected another layer)")
     app.model.comparison.with_layer(found)
@@ -335,7 +287,7 @@ SCRIPT = (
            lambda app, text: app.model.playback.seek(slot_of(text, app.model.playback)), opened,
            takes="FRAME: its number on the timeline, generated ones counted (9), or 4+1/2 (4+0: rendered frame 4)"),
     Action("layer", "Show a layer", _SCRIPT, "",
-           lambda app, name: app.model.show_layer(found_layer(app.model, name)), opened, takes="NAME"),
+           lambda app, name: app.model.show_layer(found_layer(app.model.contents, name)), opened, takes="NAME"),
     Action("plane", "Show a plane of the layer", _SCRIPT, "", _show_plane, opened, takes="N, from 1"),
     Action("from", "B from a folder", _SCRIPT, "", lambda app, place: app.model.sides.load_b(place), opened,
            takes="FOLDER: another sequence, an output of gffe run, or kernels"),
@@ -438,11 +390,6 @@ def register_layers(app: App) -> None:
                     spec.description,
                 )
             )
-
-
-def nearest(text: str, known: list[str]) -> str:
-    """Return the names that are most similar to `text`, best first."""
-    return ", ".join(get_close_matches(text, known, _NEAR, cutoff=0.0))
 
 
 # ---- menus --------------------------------------------------------------------------------------------------------

@@ -12,13 +12,12 @@ from imgui_bundle import imgui
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded, replacing
-from ..state.actions import Actions
+from ..state.actions import Actions, nearest, numbers
 from ..state.model import Model
 from ..state.playback import EVERY_FRAME
 from ..state.saving import save_png
 from ..state.settings import Settings
 from .app import App
-from .commands import nearest, numbers
 from .running import new_app, run
 
 RATE = 8.0  # steps of the clock per second, and frames of the film

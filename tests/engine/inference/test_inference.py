@@ -89,7 +89,7 @@ def test_every_command_says_once_that_kernels_cannot(device, gffe, tmp_path, mon
         arguments = ("eval", "corridor", *options)
     else:
         pytest.importorskip("imgui_bundle")
-        monkeypatch.setattr("gffe_cl.viewer.window.start.require_display", lambda: None)
+        monkeypatch.setattr("gffe_cl.viewer.window.running.require_display", lambda: None)
         monkeypatch.setattr("gffe_cl.viewer.window.running.run", lambda app, *_: said.extend(app.model.messages))
         arguments = ("view", "--cache", "0")
     code, _, err = gffe(*arguments, "--device", device.info.index, *scn)
