@@ -114,6 +114,17 @@ def test_links_lead_somewhere(name):
             assert anchor in _anchors(page.read_text()), link
 
 
+def test_anchors_into_the_code_are_there():
+    found = re.findall(r"`([\w/]+\.(?:py|cl)): ([\w.]+)`", TEXTS["docs/read_the_code.md"])
+    assert len(found) > 20
+    for file, name in found:
+        text = (ROOT / file).read_text()
+        for part in name.split("."):  # of a class, its method
+            start = re.search(rf"^ *(?:class|def) {part}\b|^[A-Za-z][^;#]*\b{part}\(", text, re.M)
+            assert start, f"{file}: {name}"
+            text = text[start.start() :]
+
+
 def test_pictures_are_used():
     used = {Path(link).name for text in TEXTS.values() for link in re.findall(r"pictures/[\w.]+", text)}
     assert {picture.name for picture in (ROOT / "docs" / "pictures").iterdir()} == used

@@ -109,10 +109,10 @@ LEDGER = {
     "gffe_cl": 37_707,
     "viewer": 12_530,
     "kernels": 10_180,
-    "tests": 28_216,
+    "tests": 28_227,
     "docs/tools": 4_147,
     "docs/examples": 1_822,
-    "docs/*.md": 4_361,
+    "docs/*.md": 4_393,
 }
 MOST_MODULES = 203
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
