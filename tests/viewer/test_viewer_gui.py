@@ -47,7 +47,8 @@ def seen(tmp_path_factory):
 
 CASES = (
     *("overview", "color_bars", "story", "kernels", "dropping", "doctor", "palette_and_help", "open_by_path", "flying"),
-    *("finding_frames", "walking_along_a_story", "appearance", "saving", "every_action", "restart"),
+    *("finding_frames", "neighbors", "marked_frames_and_rectangles", "walking_along_a_story", "appearance", "saving"),
+    *("every_action", "restart"),
 )
 
 

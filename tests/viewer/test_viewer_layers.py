@@ -12,6 +12,7 @@ from gffe_cl.engine.pipeline.outputs import FILLINGS, STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, Sizes
 from gffe_cl.viewer.engine.jobs import Jobs
+from gffe_cl.viewer.engine.slot_maker import residual_motion
 from gffe_cl.viewer.picture.current_frame import Contents
 from gffe_cl.viewer.picture.displays import (
     COLOR_MAPS,
@@ -296,3 +297,21 @@ def test_every_buffer_of_the_stages_has_a_display_and_texts():
             display = fitted(spec, array, replace(default_display(spec), channel=channel), FrameInfo((64, 48)))
             assert legend(spec, display).kind in ("none", "ramp", "wheel")
         assert value_text(spec, array[:, 0, 0] if spec.planes > 1 else array[0, 0])
+
+
+def test_depth_against_motion():
+    """0 for what is static, with sky and a camera that turns and moves; else what moves, or what a wrong depth adds."""
+    rng, source = np.random.default_rng(2), Camera.look_at((0, 0, 0), (0.1, 0, 1), (0, 1, 0), 30, 31, 16.2, 11.7)
+    before = Camera.look_at((0.3, -0.1, -0.2), (0.2, 0, 1), (0, 1, 0), 29, 30, 16, 12)
+    depth = rng.uniform(2, 9, (24, 32)).astype(np.float32)
+    depth[:4], depth[5, 5] = np.inf, -1.0
+    px = np.stack(np.meshgrid(np.arange(32), np.arange(24)), -1) + 0.5
+    static = before.project(source.unproject(px, np.minimum(depth, 1e12)))[0] - px
+    moving = np.zeros((24, 32, 2))
+    moving[10:16, 10:20] = rng.normal(0, 2, (6, 10, 2))
+    found = residual_motion(px, depth, (static + moving).astype(np.float32), source, before)
+    assert np.isnan(found[5, 5]).all()
+    found[5, 5] = 0
+    np.testing.assert_allclose(found, moving, atol=1e-5)
+    far = residual_motion(px, 1.1 * depth, static.astype(np.float32), source, before)
+    assert np.abs(far[:4]).max() < 1e-4 and np.linalg.norm(far[6:], axis=-1).min() > 0.05

@@ -458,7 +458,6 @@ def test_search():
     assert found("load") == ["Load settings", "Reload frames"]
     assert found("LO")[0] == "Loop" and found("LO")[-1] == "Toggle loop"
     assert found("frame step") == ["Step to the next rendered frame"]
-    assert found("tgl") == ["Toggle loop"] and found("rf")[0] == "Reload frames"
     assert len(found("group load")) == 2 and found("grou")[0] == "Loop"
     assert found("xyzzy") == [] and len(found("")) == 5 and found(" … ")[-1] == "Toggle loop"
 

@@ -4,6 +4,7 @@ import json
 import os
 import shutil
 import time
+from dataclasses import replace
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -17,19 +18,19 @@ from scn_models import constant_model
 from viewer_session import Session, wait_for
 
 from gffe_cl import OPTIONS, Options
+from gffe_cl.captures.sequence import SequenceWriter, named_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.state.captions import value_text
-from gffe_cl.viewer.state.document import Doctor
+from gffe_cl.viewer.state.document import INVALID, REPEATED, UNEVEN, Doctor
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.saving import LayersWork
 from gffe_cl.viewer.window import status
 from gffe_cl.viewer.window.inspector import rows_of
-from gffe_cl.viewer.window.windows import stepped
 
 
 def test_story_is_told_and_follows_the_slot_although_the_mouse_moves_on(session):
@@ -69,7 +70,7 @@ def test_values_under_the_pointer_are_those_of_the_picture(session):
     assert seen.values["rendered.color"].tobytes() == image[y, x].tobytes()
     assert origin.tobytes() == image[int(down), int(right)].tobytes()
     here, there = (value_text(spec, values) for values in (image[y, x], origin))
-    assert status.parts(model)[-1] == f"({x}, {y})   {here}   from ({right:.1f}, {down:.1f})   {there}"
+    assert status.parts(model)[0] == f"({x}, {y})   {here}   from ({right:.1f}, {down:.1f})   {there}"
     rows = [(row.label, row.where, row.value) for row in rows_of(model.contents.layers, seen)]
     assert [row[1:] for row in rows if row[0] == "Rendered color"] == [("here", here), ("from", there)]
     assert [row[1] for row in rows if row[0] == "Final"] == [""]
@@ -161,7 +162,7 @@ def test_states_are_told_as_long_as_they_last(tmp_path, monkeypatch):
 def test_what_is_compared_with_itself_is_named(session):
     model, comparison = session.model, session.model.comparison
     comparison.toggle_truth()
-    comparison.toggle("error")
+    comparison.subtract("mean")
     assert (model.view.a, model.view.b) == ("truth", "final") and not comparison.nothing
     comparison.with_layer("truth")
     assert comparison.nothing and comparison.shown().compare == "off", "no black map as of a perfect result"
@@ -169,7 +170,7 @@ def test_what_is_compared_with_itself_is_named(session):
     comparison.set("flip error")
     assert model.view.b == "final" and not comparison.nothing
     model.sides.keep()
-    comparison.set("difference")
+    comparison.subtract("absolute")
     session.settle()
     assert "same settings" in comparison.scale_text() and comparison.shown().compare == "off"
     model.parameters.switch("motion", False)
@@ -365,17 +366,15 @@ def test_modules_and_parameters_come_from_the_descriptions(session):
     assert "overscan" in parameters.why_not("window") and "built-in scene" in parameters.why_not("scene_window")
 
 
-def test_numbers_of_the_palette():
+def test_numbers_of_scripts():
     threshold, levels = ALL["static_threshold"], ALL["levels"]
     assert parsed(threshold, " auto ") is None and parsed(threshold, "1,5") == 1.5 and parsed(levels, "3") == 3
     order = ALL["camera_order"]
-    assert parsed(order, "auto") is None and parsed(order, "2") == 2 and stepped(order, None, 1) == 2
+    assert parsed(order, "auto") is None and parsed(order, "2") == 2
     assert parsed(order, "1") == 1
     for option, text in ((levels, "9"), (levels, "1.5"), (levels, ""), (threshold, "nan"), (threshold, "much")):
         with pytest.raises(GffeError, match=f"{option.label} must be"):
             parsed(option, text)
-    assert stepped(levels, 4, 1) == 4 and stepped(levels, 0, -1) == 0 and stepped(levels, 2, 1) == 3
-    assert stepped(threshold, None, 1) == pytest.approx(1.4) and stepped(threshold, 100.0, 1) == 100.0
 
 
 def test_a_file_of_a_capture_opens_its_folder(session, tmp_path):
@@ -425,7 +424,7 @@ def test_the_worst_pixel_is_looked_at(session):
     model = session.model
     model.playback.seek(1)
     model.comparison.with_layer("truth")
-    model.comparison.set("error")
+    model.comparison.subtract("mean")
     session.settle()
     model.go_to_largest()
     images = (to_display(model.contents.image(name)[..., :3], 1.0) for name in ("final", "truth"))
@@ -449,7 +448,7 @@ def test_legends_have_the_units_of_what_is_compared(session):
     def unit():
         return model.captions.legends()[0][1].unit
 
-    model.comparison.set("error")
+    model.comparison.subtract("mean")
     assert unit() == "world units"
     model.show_layer("final")
     model.comparison.with_layer("truth")
@@ -458,19 +457,6 @@ def test_legends_have_the_units_of_what_is_compared(session):
         model.comparison.set("flip error")
         session.settle()
         assert unit().startswith("FLIP") and model.comparison.flip_map.shape == model.contents.size[::-1]
-
-
-def test_only_generated_frames_are_shown_while_it_plays(session):
-    model, shown = session.model, []
-    model.playback.only_generated = True
-    model.playback.mode = "every frame"
-    model.playback.play()
-    session.until(lambda: shown.append(model.contents.result.slot) or (shown.count(5) and shown[-1] == 1))
-    assert set(shown) - {0} == {1, 3, 5} and 0 not in shown[shown.index(1) :], "0 was there before it played"
-    model.playback.pause()
-    model.playback.seek(2)
-    session.settle()
-    assert model.contents.result.slot == 2
 
 
 def test_a_picture_under_way_is_stopped_and_gone_on_with(session):
@@ -499,3 +485,53 @@ def test_a_picture_under_way_is_stopped_and_gone_on_with(session):
         model.playback.seek(2)
         session.frame()
         assert not model.stopped and model.store.next().key.slot == 2, "another one is due"
+
+
+def test_statistics_and_values_of_a_and_b(session):
+    """... of a rectangle, and at a pixel in the status bar, as they are stored."""
+    model = session.model
+    model.playback.seek(3)
+    model.comparison.with_layer("truth")
+    model.comparison.set("split")
+    session.settle()
+    a, b = (model.contents.image(name)[2:6, 3:8, :3].astype(np.float64) for name in ("final", "truth"))
+    model.pointing.mark((3.2, 2.9), (7.9, 5.1))
+    assert model.pointing.rectangle == (3, 2, 8, 6)
+    rows = wait_for(model.statistics)
+    assert [name for name, *_ in rows] == [f"{side} {c}" for side in ("A", "B", "A − B") for c in "RGB"]
+    for (_, found, share), values in zip(rows, (s[..., c] for s in (a, b, a - b) for c in range(3)), strict=True):
+        assert share == 1 and found == pytest.approx([of(values) for of in (np.min, np.max, np.mean, np.median)])
+    model.pointing.hover((4.5, 3.5))
+    place, *texts = status.parts(model)[:4]
+    assert place == "(4, 3)" and texts[0] == f"A  {value_text(model.contents.spec('final'), a[1, 1])}"
+    assert texts[2] == "A − B  " + "  ".join(f"{v:+.4g}" for v in (a - b)[1, 1])
+    model.show_layer("rendered.depth")  # whose grid may be another one, with sky
+    session.settle()
+    (name, found, _), *_ = wait_for(model.statistics)
+    assert name == "A" and found[0] == model.contents.image("rendered.depth")[2:6, 3:8].min()
+    model.pointing.mark((-9, -9), (-1, -1))
+    assert model.pointing.rectangle is None
+
+
+def test_faults_of_all_frames_are_marked(tmp_path):
+    """Invalid pixels, stale buffers, repeated frames and uneven times, on a thread and only in idle time."""
+    folder = tmp_path / "faulty"
+    with SequenceWriter(folder, tiny_sequence.W, tiny_sequence.H, 30.0) as writer:
+        for k in range(14):
+            seen, late = min(k, 10), 0.01 * (k >= 4)
+            color, depth, motion = tiny_sequence.pixels(seen)
+            color = tiny_sequence.pixels(4)[0] if k == 5 else color
+            depth = tiny_sequence.pixels(6)[1] if k == 7 else depth
+            motion[1, 2:5] = np.nan if k == 2 else motion[1, 2:5]
+            entry = replace(tiny_sequence.rendered(seen), file=f"frame_{k}.exr", time=k / 30 + late, reset=k == 0)
+            writer.add(entry, named_channels(color, depth, motion if k else None))
+    document = Session(folder).model.document
+    scan = document.scan
+    scan.update(False)
+    assert scan._job is None or wait_for(scan._job.done)
+    wait_for(lambda: scan.update(True) or not scan.busy)
+    found = {k: list(kinds) for k, kinds in scan.marks.items()}
+    assert found == {2: [INVALID], 4: [UNEVEN]} | {k: [REPEATED] for k in (5, 7, 11, 12, 13)}
+    assert "3 × NaN" in scan.marks[2][INVALID] and "43.3 ms" in scan.marks[4][UNEVEN]
+    assert "color of the frame before" in scan.marks[5][REPEATED] and "depth of" in scan.marks[7][REPEATED]
+    assert list(document.faults) == sorted(found)

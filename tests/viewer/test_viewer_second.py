@@ -12,11 +12,14 @@ from gffe_cl.captures.offline.run import run_sequence
 from gffe_cl.captures.offline.source import Recorded
 from gffe_cl.captures.sequence import open_sequence
 from gffe_cl.engine.inspection import names
-from gffe_cl.engine.inspection.layers import LayerSpec
+from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, LayerSpec
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.viewer.engine.engine import Engine
 from gffe_cl.viewer.engine.figures import Figures
+from gffe_cl.viewer.engine.messages import Frame, Key, Recipe, Setup
+from gffe_cl.viewer.picture.current_frame import VECTORS, followed
 from gffe_cl.viewer.picture.displays import FrameInfo
 from gffe_cl.viewer.state.presets import command_line
 from gffe_cl.viewer.state.studies import difference, modules_of
@@ -292,3 +295,54 @@ def test_a_layer_differs_in_a_plane_that_is_named():
     frames[1].images.clear()
     only = difference(spec, *frames, info)
     assert only.remark == "not in B" and not only.differs
+
+
+STEP = np.array([4, -2], np.float32)  # pixels that everything moves in a frame
+PAIRS = {
+    "before": ((3, 0), (2, 0)),
+    "after": ((2, 0), (3, 0)),
+    "source": ((3, 0.5), (3, 0)),
+    "new before": ((3, 0.5), (2, 0.5)),
+    "after a new one": ((2, 0.5), (3, 0)),
+}
+
+
+def passing(k, alpha, previous=True):
+    """A frame, as the engine gives it, of what passes by."""
+    wide = np.random.default_rng(3).uniform(0, 1, (80, 80, 4)).astype(np.float16)
+    x, y = 36 - ((k + alpha) * STEP).astype(int)
+    images = {"final": wide[y : y + 24, x : x + 32]}
+    images |= {name: np.tile(-by * STEP, (24, 32, 1)) for name, by in (("rendered.motion", 1), ("frame.motion", alpha))}
+    camera = tiny_sequence.camera()
+    moment = Moment(k, alpha, k + alpha, camera, camera, camera, camera if previous else None)
+    key, specs = Key(Recipe(0, 0, Setup(), ""), 0), dict.fromkeys(images, FRAME_LAYERS["final"])
+    return Frame(key, frozenset(images), moment, images, specs, {}, 0.0, 0.0, render_size=(32, 24))
+
+
+@pytest.mark.parametrize("pair", PAIRS)
+def test_a_neighbor_is_followed_along_motion_vectors(pair):
+    """What both frames see is equal, and the rest is unknown; vectors of a reset lead nowhere."""
+    (k, alpha), other = PAIRS[pair]
+    first = passing(k, alpha)
+    found = followed(first, passing(*other), (32, 24))
+    known = np.isfinite(found.images["final"]).all(-1)
+    assert 0.5 < known.mean() < 1 and found.moment is first.moment
+    np.testing.assert_allclose(found.images["final"][known], first.images["final"][known], atol=1e-3)
+    lost = followed(passing(k, alpha, False), passing(*other, False), (32, 24)).images["final"]
+    assert np.isnan(lost).all() == (k != other[0])
+
+
+def test_a_neighbor_is_b(session):
+    model = session.model
+    model.playback.seek(3)
+    model.comparison.with_neighbor("new frame before")
+    session.settle()
+    assert (model.contents.second.slot, model.view.compare, model.view.b) == (1, "difference", "B:final")
+    model.comparison.follows = True
+    session.settle()
+    assert model.contents.second.images.keys() == model.contents.result.images.keys() == {"final", *VECTORS}
+    model.playback.seek(5)
+    model.comparison.with_neighbor("rendered frame after")
+    session.settle()
+    assert model.contents.second is None and "no rendered frame after" in model.comparison.scale_text()
+    assert model.comparison.preferences()["b"] is None

@@ -10,6 +10,7 @@ import tiny_sequence
 from gffe_cl import Options
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.buffers import Moment
+from gffe_cl.viewer.engine.jobs import Jobs
 from gffe_cl.viewer.engine.messages import Failure, Frame, Key, Recipe, Setup
 from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
@@ -132,7 +133,7 @@ class Shown(Contents):
 @pytest.fixture
 def showing():
     failed, contents = [], Shown()
-    showing = Showing(store_of(10), contents, lambda failure, of_b: failed.append((failure.error, of_b)))
+    showing = Showing(store_of(10), contents, lambda failure, of_b: failed.append((failure.error, of_b)), Jobs("test"))
     showing.given, showing.failures = contents.given, failed
     return showing
 

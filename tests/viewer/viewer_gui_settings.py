@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
-from viewer_gui_driver import KEY, Gui, collector
+from viewer_gui_driver import KEY, SHIFT, Gui, collector
 
 CASES, case = collector()
 ALT = KEY.mod_alt.value
@@ -32,7 +32,7 @@ def finding_frames(gui: Gui):
     gui.key(KEY.j)
     gui.settle()
     assert model.slot == min(curve, key=curve.get)
-    model.comparison.set("error")
+    gui.key(KEY.m)
     gui.settle()
     gui.key(KEY.w, ALT)
     gui.settle()
@@ -48,6 +48,63 @@ def finding_frames(gui: Gui):
     model.survey.on = False
     gui.app.docks.panel("Plot").is_visible = False
     gui.frames(3)
+
+
+@case
+def neighbors(gui: Gui):
+    """B is a frame before or after, at the same place or along motion vectors, which explain most of the change."""
+    model, differences = gui.model, {}
+    model.playback.seek(12)
+    slots = {"rendered frame before": (KEY.p, 0, 10), "rendered frame after": (KEY.p, SHIFT, 14)}
+    for which, (key, modifiers, slot) in (slots | {"new frame before": (KEY.p, ALT, 11)}).items():
+        gui.key(key, modifiers)
+        for follows in (False, True):
+            gui.settle()
+            gui.frames(2)
+            assert (model.comparison.neighbor, model.contents.second.slot, model.view.compare) == (
+                which,
+                slot,
+                "difference",
+            )
+            picture = gui.picture()
+            marked = (picture == (255, 0, 255)).all(-1)
+            differences[which, follows] = float(picture[~marked].mean())
+            gui.key(KEY.v)
+        assert differences[which, True] < 0.8 * differences[which, False], (which, differences)
+    gui.settle()
+    gui.shot("neighbors")
+    model.playback.seek(0)
+    gui.settle()
+    assert model.comparison.scale_text() == "there is no new frame before here: nothing is compared"
+    model.comparison.with_layer("truth")
+
+
+@case
+def marked_frames_and_rectangles(gui: Gui):
+    """I goes to the next marked frame; with Shift a drag marks a rectangle, whose statistics the inspector has."""
+    model = gui.model
+    gui.wait(lambda: not model.document.scan.busy, "the scan")
+    model.document.scan._found |= {k: {"invalid": "3 pixels"} for k in (2, 6)}
+    model.document.scan._marks = ((-1, 0), {})
+    for modifiers, slot in ((0, 4), (0, 12), (SHIFT, 4)):
+        gui.key(KEY.i, modifiers)
+        gui.settle()
+        assert model.slot == slot and "3 pixels" in model.messages[-1].text
+    left, top, width = map(int, gui.area("//Timeline/###scrub")[:3])
+    strip = gui.window()[top - 2, left + round(width * 2.5 / model.playback.count)]
+    assert strip.tolist() == [255, 0, 255]
+    gui.key(KEY.d)
+    gui.settle()
+    gui.ctx.key_down(KEY.mod_shift.value)
+    gui.drag(gui.at(20.5, 30.5), gui.at(59.5, 49.5))
+    gui.ctx.key_up(KEY.mod_shift.value)
+    assert model.pointing.rectangle == (20, 30, 60, 50)
+    gui.wait(lambda: len(model.statistics()) == 9, "the statistics of A, B and A − B")
+    gui.point(*gui.at(30.5, 40.5))
+    gui.frames(3)
+    gui.shot("rectangle")
+    gui.click("//Inspector/###forget_rectangle")
+    assert model.pointing.rectangle is None
 
 
 @case

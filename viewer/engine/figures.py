@@ -26,7 +26,7 @@ from gffe_cl.lab.metrics import REGIONS as _TABLE
 from .jobs import Jobs
 from .messages import Frame, Key, Recipe
 
-NEEDED = frozenset({names.FINAL, names.TRUTH, names.DISOCCLUDED})
+NEEDED = frozenset({names.FINAL, names.TRUTH, names.DISOCCLUDED, names.RESIDUAL})
 NEEDED_BY_REGION = NEEDED | {names.GAE, names.DEPTH, names.DYNAMIC}
 
 _RECIPES = 8  # whose figures are remembered
@@ -63,6 +63,7 @@ QUANTITIES = {
 } | {
     "flicker": Quantity("flicker", "%", 1, 3),
     "disoccluded": Quantity("disoccluded", "%", 1),
+    "residual": Quantity("depth against motion", "px", 1, 3),
     "kernels": Quantity("kernel time", "ms", 1),
 }
 
@@ -94,6 +95,9 @@ class Measurer:
         holes = frame.images.get(names.DISOCCLUDED)
         if holes is not None:
             values["disoccluded"] = 100 * float(np.count_nonzero(holes)) / holes.size
+        residual = frame.images.get(names.RESIDUAL)
+        if residual is not None and np.isfinite(residual).any():
+            values["residual"] = float(np.nanmean(np.linalg.norm(residual, axis=-1)))
         if frame.images.get(names.TRUTH) is None:
             self._before = None
             return Figures(values, surveyed=True)

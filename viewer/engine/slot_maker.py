@@ -36,7 +36,7 @@ from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import Board
-from gffe_cl.engine.stages.buffers import DeviceFrame, Sizes
+from gffe_cl.engine.stages.buffers import XY, DeviceFrame, Sizes
 from gffe_cl.engine.stages.upload import Upload
 from gffe_cl.engine.timing.bench import memory
 from gffe_cl.lab.metrics import focus_mask
@@ -60,6 +60,18 @@ INVALID = LayerSpec(
     description="pixels of the input that cannot be used, by what is wrong",
     grid="source",
 )
+RESIDUAL = LayerSpec(
+    names.RESIDUAL,
+    "Depth against motion",
+    FRAME_GROUP,
+    "motion",
+    XY,
+    description="motion vectors minus those of static points by depth and cameras, pixels: 0 where nothing moves and"
+    " depth is right",
+    grid="source",
+    limits=(0.0, 1.0),
+)
+_SKY = 1e9  # world units: depth that stands for infinity, where only turning counts
 _WARM_UP = 8  # rendered frames submitted before the one of a provisional slot
 
 
@@ -304,9 +316,9 @@ class SlotMaker:
         specs = layers_of(pipeline)
         if not source.has_truth:
             del specs[names.TRUTH], specs[names.FOCUS_TRUTH]
-        if seeker.invalid is not None:  # listed after the other layers of the input
-            place = list(specs).index(names.RENDERED_MOTION) + 1
-            specs = dict(list(specs.items())[:place]) | {INVALID.name: INVALID} | specs
+        own = {RESIDUAL.name: RESIDUAL} | ({} if seeker.invalid is None else {INVALID.name: INVALID})
+        place = list(specs).index(names.RENDERED_MOTION) + 1  # after the other layers of the input
+        specs = dict(list(specs.items())[:place]) | own | specs
         stored, size, buffers = seeker.stored, source.render_size, ()
         if stored is None:
             del specs[names.UNDONE]
@@ -318,11 +330,17 @@ class SlotMaker:
             seeker.truth = truth = self._truth(k, alpha, notes)
         self.nbytes = sum(memory(pipeline).values())
         reading = time.perf_counter()
-        images = read_layers(pipeline, device_layers(pipeline, shot), wanted)
+        needed = {names.RENDERED_DEPTH, names.RENDERED_MOTION} if RESIDUAL.name in wanted else set()
+        read = read_layers(pipeline, device_layers(pipeline, shot), wanted | needed)
+        images = {name: image for name, image in read.items() if name in wanted}
         readback_ms = (time.perf_counter() - reading) * 1e3
         if stored is not None and names.UNDONE in wanted:
             assert seeker.converted is not None  # as it was stored
             images[names.UNDONE] = _changed_motion(stored, seeker.converted, source.format)
+        if needed and (before := shot.moment.previous_camera) is not None:
+            depth, motion = read[names.RENDERED_DEPTH], read[names.RENDERED_MOTION]
+            px = np.stack(np.meshgrid(np.arange(size[0]), np.arange(size[1])), -1) + 0.5
+            images[RESIDUAL.name] = residual_motion(px, depth, motion, shot.moment.render_camera, before)
         if seeker.invalid is not None and INVALID.name in wanted:
             images[INVALID.name] = seeker.invalid
         if truth is not None and names.TRUTH in wanted:
@@ -369,6 +387,9 @@ class SlotMaker:
         for found, px in ((values.here, shown), (values.origin, at if moment.alpha else None)):
             if (texel := _texel_at(seeker.invalid, px)) is not None:
                 found[INVALID.name] = texel
+            if moment.previous_camera is not None and names.RENDERED_DEPTH in found and px is not None:
+                of_pixel = np.floor(px) + 0.5, found[names.RENDERED_DEPTH][0], found[names.RENDERED_MOTION]
+                found[RESIDUAL.name] = residual_motion(*of_pixel, moment.render_camera, moment.previous_camera)
         story = pixel_story(pipeline, shot, x, y, values, seeker.passed, fault)
         if seeker.truth is not None:
             values.here[names.TRUTH] = rgba_of(seeker.truth[y : y + 1, x : x + 1])[0, 0]
@@ -381,6 +402,14 @@ def weights_of(options: Options) -> str:
     """Return the identity of the weights of shading correction; empty where it is off."""
     path = options.weights
     return "" if path is None else f"{path} {state_of(path)}"
+
+
+def residual_motion(px: np.ndarray, depth, motion: np.ndarray, camera: Camera, before: Camera) -> np.ndarray:
+    """Return (…, 2) float32, pixels: motion vectors (…, 2) minus those of static points at pixel positions (…, 2) and
+    depths (…), from a frame's render camera into that of the one before; NaN where depth or motion is unknown."""
+    there, z = before.project(camera.unproject(px, np.minimum(depth, _SKY)))
+    known = (np.asarray(depth) > 0) & (z > 0) & np.isfinite(motion).all(-1)
+    return np.where(known[..., None], motion - (there - px), np.nan).astype(np.float32)
 
 
 def _changed_motion(stored: RenderedFrame, used: RenderedFrame, format: FrameFormat | None) -> np.ndarray:

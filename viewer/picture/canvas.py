@@ -17,7 +17,6 @@ import numpy as np
 
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import VIEWS, LayerSpec
-from gffe_cl.engine.stages.frame_block import reprojection
 from . import displays
 from .displays import TONE_MAPS, Display, FrameInfo, Rgb, shown_as
 from .view import CLIPPING, COMPARISONS, DIFFERENCES, OVERLAYS, Size, View, compared_as, full_scale
@@ -25,10 +24,8 @@ from .view import CLIPPING, COMPARISONS, DIFFERENCES, OVERLAYS, Size, View, comp
 _OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
 # of display.frag
 _VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID")
-_MIXING = ("difference", "error")  # comparisons that need A and B at one place
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
-_RENDERED = {"depth": names.RENDERED_DEPTH, "motion": names.RENDERED_MOTION, "color": names.RENDERED_COLOR}
-_SAMPLERS = ("texels_a", "texels_b", *(f"rendered_{key}" for key in _RENDERED), "color_maps")
+_SAMPLERS = ("texels_a", "texels_b", "rendered_depth", "color_maps")
 _UNITS = {name: unit for unit, name in enumerate(_SAMPLERS)}
 
 
@@ -297,7 +294,7 @@ class Canvas:
 
         left, top, right, bottom = self._display_rectangle(view, size)
         if view.compare != "split":
-            mixed = b if view.compare in _MIXING else (None, None)
+            mixed = b if view.compare == "difference" else (None, None)
             draw((a, mixed), (left, top, right, bottom))
             return
         line, width = round(view.split * size[0]), max(round(view.line), 1)
@@ -319,7 +316,7 @@ class Canvas:
         uniforms."""
         shown = [self._shown(name, display, view.zoom) for name, display in layers]
         contrast = self._grid_contrast(view, shown[0])
-        compare = COMPARISONS.index(view.compare) if view.compare in _MIXING else 0
+        compare = COMPARISONS.index(view.compare) if view.compare == "difference" else 0
         program = self._program(
             *(n for layer in shown for n in layer.variant),
             compare,
@@ -328,11 +325,11 @@ class Canvas:
         )
         for index, layer in enumerate(shown):
             program.set(f"layer[{index}].", layer.uniforms)
-        rendered = {key: self._layers.get(name) for key, name in _RENDERED.items()}
-        for unit, texture in enumerate((*(layer.texture for layer in shown), *rendered.values())):
+        depth = self._layers.get(names.RENDERED_DEPTH)
+        for unit, texture in enumerate((*(layer.texture for layer in shown), depth)):
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
-        program.set("", {f"has_{key}": layer is not None for key, layer in rendered.items()} | self._frame_uniforms())
+        program.set("", {"has_depth": depth is not None} | self._frame_uniforms())
         values = {name: getattr(view, name) for name in ("center", "zoom", "background")}
         values |= {
             "corner": corner,
@@ -340,9 +337,6 @@ class Canvas:
             "grid_contrast": contrast,
             "difference": DIFFERENCES.index(view.difference),
             "difference_high": self._difference_high(view, layers),
-            "error_squared": view.error == "squared",
-            "error_high": max(view.error_high, 1e-12),
-            "residual_scale": max(view.residual_scale, 1e-6),
         }
         program.set("", values)
         return program
@@ -384,13 +378,10 @@ class Canvas:
         values = {
             "display_size": frame.display_size,
             "has_source": frame.source is not None,
-            "has_previous": frame.source is not None and frame.previous is not None,
-            "rendered_area": frame.source_area,
-            "rendered_gain": frame.exposure,
         }
         if frame.source is not None:
-            matrix = reprojection(frame.source, frame.previous or frame.source)
-            values |= {"to_previous": matrix[:3].ravel(), "source_inverse": matrix[4], "previous_pinhole": matrix[5]}
+            fx, fy, *center = frame.source.intrinsics
+            values["source_inverse"] = 1 / fx, 1 / fy, *center
         return values
 
     def _shown(self, name: str | None, display: Display | None, zoom: float) -> _Shown:

@@ -4,13 +4,15 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection import names
 from gffe_cl.engine.inspection.layers import LayerSpec
+from ..engine.jobs import Derived, Jobs
 from ..engine.messages import Failure, Frame
 from ..engine.sources.source import FrameSource
 from ..engine.store import Store, Want
@@ -29,7 +31,8 @@ class Contents:
     result : Frame or None
         Of the slot computed last; None until there is one of this source.
     second : Frame or None
-        Of the same slot by other settings, where these are compared; its layers are named by `names.of_second`.
+        Of the same slot by other settings, or of a neighbor, where these are compared; its layers are named by
+        `names.of_second`.
     layers : list of LayerSpec
         All that can be shown.
     cuts : frozenset of int
@@ -119,17 +122,103 @@ class Contents:
         """Return the frame of reference of the result's layers, for display; by default of A's."""
         result = result or self.result
         assert result is not None
-        source, moment, rendered = self.source, result.moment, result.render_size
-        area = area_of(moment.render_camera, rendered, moment.display_camera, self.size)
-        return FrameInfo(self.size, rendered, source.exposure, moment.render_camera, moment.previous_camera, area)
+        return replace(_info(result, self.size), exposure=self.source.exposure)
+
+
+def _info(frame: Frame, size: tuple[int, int]) -> FrameInfo:
+    """Return the frame of reference of a frame's layers on a display of `size`, without exposure."""
+    moment, rendered = frame.moment, frame.render_size
+    area = area_of(moment.render_camera, rendered, moment.display_camera, size)
+    return FrameInfo(size, rendered, 1.0, moment.render_camera, area)
+
+
+# ---- a neighbor, followed along motion vectors ------------------------------------------------------------
+
+VECTORS = frozenset({names.MOTION, names.RENDERED_MOTION})  # layers that both need
+_STEPS, _MISSES = 8, 0.5  # of the search against vectors, and pixels by which it may miss
+_FOLLOWED = ("color", "depth", "motion", "mask", "label", "scalar")  # values that do not depend on their place
+
+
+def followed(a: Frame, b: Frame, size: tuple[int, int]) -> Frame:
+    """Return frame `b`, of at most one rendered frame before or after `a`, with the layers that both have as seen from
+    `a`: at each texel what is in `b` where motion vectors lead, of colors bilinear, else nearest; NaN where they lead
+    out of the image. `size`: of the display; both have the layers `VECTORS`."""
+    images = {}
+    for name in a.images.keys() & b.images.keys():
+        spec, there, like = b.specs[name], b.images[name], a.images[name]
+        if spec.view not in _FOLLOWED or there.ndim > 2 + bool(spec.components) or there.shape != like.shape:
+            continue
+        height, width = like.shape[:2]
+        grid = np.stack(np.meshgrid(np.arange(width) + 0.5, np.arange(height) + 0.5), -1) / (width, height)
+        own, other = (np.array(_info(frame, size).placed(spec)) for frame in (a, b))
+        px = _way(grid * own[:2] + own[2:], a, b)
+        found = _sampled(there, (px - other[2:]) / other[:2] * (width, height), smooth=spec.view == "color")
+        images[name] = np.nan_to_num(found).astype(like.dtype) if like.dtype == np.uint8 else found.astype(like.dtype)
+    return replace(b, images=images, moment=a.moment, render_size=a.render_size)
+
+
+def _way(px: np.ndarray, a: Frame, b: Frame) -> np.ndarray:
+    """Return where motion vectors lead from display positions (…, 2) of `a` on the display of `b`, pixels; NaN where
+    they lead out of an image."""
+    start, end = a.moment, b.moment
+    if start.alpha:  # into the rendered frame that it was made of
+        px = px + _sampled(a.images[names.MOTION], px)
+    else:
+        px = _moved(px, start.display_camera, start.render_camera)
+    later = start if end.k < start.k else end
+    if end.k != start.k and later.previous_camera is None:  # a reset: vectors lead nowhere
+        return np.full(px.shape, np.nan)
+    if end.k < start.k:
+        px = px + _sampled(a.images[names.RENDERED_MOTION], px)
+    elif end.k > start.k:
+        px = _against(b.images[names.RENDERED_MOTION], px)
+    return _against(b.images[names.MOTION], px) if end.alpha else _moved(px, end.render_camera, end.display_camera)
+
+
+def _moved(px: np.ndarray, image: Camera, other: Camera) -> np.ndarray:
+    return (px - (image.cx, image.cy)) / (image.fx, image.fy) * (other.fx, other.fy) + (other.cx, other.cy)
+
+
+def _against(motion: np.ndarray, px: np.ndarray) -> np.ndarray:
+    """Return the positions from which motion vectors lead to `px` (…, 2), NaN where none was found."""
+    start = px
+    for _ in range(_STEPS):
+        start = px - np.nan_to_num(_sampled(motion, start))
+    with np.errstate(invalid="ignore"):
+        hits = np.abs(start + _sampled(motion, start) - px).max(-1, keepdims=True) < _MISSES
+    return np.where(hits, start, np.nan)
+
+
+def _sampled(image: np.ndarray, px: np.ndarray, smooth: bool = False) -> np.ndarray:
+    """Return the values (…, channels?) float32 of an image (H, W, channels?) at pixel positions (…, 2), of the texel
+    there, or `smooth`ly between four; NaN outside."""
+    height, width = image.shape[:2]
+    with np.errstate(invalid="ignore"):
+        inside = ((px >= 0) & (px <= (width, height))).all(-1)
+    x, y = np.moveaxis(np.where(inside[..., None], px, 0.0), -1, 0)
+
+    def texel(right: np.ndarray, down: np.ndarray) -> np.ndarray:
+        at = np.clip(down, 0, height - 1).astype(np.intp), np.clip(right, 0, width - 1).astype(np.intp)
+        return image[at].astype(np.float32)
+
+    weights = inside.reshape(*inside.shape, *[1] * (image.ndim - 2))
+    if not smooth:
+        return np.where(weights, texel(x, y), np.nan)
+    left, top = np.floor(x - 0.5), np.floor(y - 0.5)
+    fx, fy = ((at - 0.5 - start).astype(np.float32)[..., None] for at, start in ((x, left), (y, top)))
+    above = texel(left, top) * (1 - fx) + texel(left + 1, top) * fx
+    below = texel(left, top + 1) * (1 - fx) + texel(left + 1, top + 1) * fx
+    return np.where(weights, above * (1 - fy) + below * fy, np.nan)
 
 
 @dataclass(frozen=True)
 class Picture:
-    """A picture that is due: a slot as A's settings make it, and as B's do where these are compared."""
+    """A picture that is due: a slot as A's settings make it, and as B's do, or a neighbor of it, where these are
+    compared; `follows`: B is shown where motion vectors lead from A's pixels."""
 
     a: Want
     b: Want | None = None
+    follows: bool = False
 
     @property
     def wants(self) -> list[Want]:
@@ -137,7 +226,7 @@ class Picture:
 
     def is_like(self, other: Picture) -> bool:
         """Return whether both are of the same settings and layers: one may be shown on the way to the other."""
-        return len(self.wants) == len(other.wants) and all(
+        return (len(self.wants), self.follows) == (len(other.wants), other.follows) and all(
             mine.key.recipe.continues(its.key.recipe) and mine.layers == its.layers
             for mine, its in zip(self.wants, other.wants, strict=True)
         )
@@ -152,6 +241,8 @@ class Showing:
         Takes A's frame and B's, or None, as soon as they are there.
     fail : callable
         Called with the failure of A's or of B's, and whether it is B's, once for each picture. Without B's A is shown.
+    background : Jobs
+        Follows B along motion vectors.
 
     Attributes
     ----------
@@ -164,8 +255,9 @@ class Showing:
         Why there is nothing of B; empty if there is.
     """
 
-    def __init__(self, store: Store, contents: Contents, fail: Callable[[Failure, bool], None]):
+    def __init__(self, store: Store, contents: Contents, fail: Callable[[Failure, bool], None], background: Jobs):
         self._store, self._contents, self._fail = store, contents, fail
+        self._followed, self._follows = Derived(background), False  # B along vectors, and whether it is being made
         self.awaited: Picture | None = None
         self.shown: Picture | None = None
         self._due: Picture | None = None
@@ -186,7 +278,7 @@ class Showing:
         self._due = due
         there = before is not None and may_show and self._take(before)
         if before is None or (before != due and (there or not passing or not before.is_like(due))):
-            self.awaited, self._told = due, set()
+            self.awaited, self._told, self._follows = due, set(), False
             for want in due.wants:
                 self._store.retry(want)
             self._was_there = not self.is_waiting
@@ -212,7 +304,7 @@ class Showing:
     @property
     def is_waiting(self) -> bool:
         """Whether anything is still to be made of the awaited picture."""
-        return any(self._store.get(want) is None for want in self.wants)
+        return self._follows or any(self._store.get(want) is None for want in self.wants)
 
     @property
     def failed(self) -> bool:
@@ -242,6 +334,14 @@ class Showing:
             self._preview(picture)
             return False
         first, second = made[0], made[1] if len(made) > 1 else None
+        if picture.follows and isinstance(first, Frame) and isinstance(second, Frame):
+            key, size = (first.key, second.key, first.layers, first.wall_ms, second.wall_ms), self._contents.size
+            second = self._followed.get(key, followed, first, second, size)
+            self._follows = not self._followed.ready
+            if self._follows:
+                return False
+            if error := self._followed.error:
+                second = Failure(f"cannot be followed: {error}")
         self.fault_of_b = second.error if isinstance(second, Failure) else ""
         if isinstance(first, Frame):
             second, contents = second if isinstance(second, Frame) else None, self._contents
@@ -257,7 +357,7 @@ class Showing:
         if frames and len(frames) == len(picture.wants):
             self.from_cache = False
             if frames[0] is not self._contents.result:
-                self._contents.take(*frames)
+                self._contents.take(*frames[: 1 if picture.follows else 2])
 
     @property
     def is_preview(self) -> bool:

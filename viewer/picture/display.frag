@@ -7,14 +7,8 @@
    (-1: no such layer), SMOOTH (1: drawn smaller, with mipmaps), CHANNEL (-1: all), TONE_MAP; and COMPARE, OVERLAY,
    GRID (1: there are lines between pixels). All else is uniforms. */
 
-/* COLOR, TONE_ACES, MAP_HEAT, ERROR, SIGNED, EDGES and so on are the places in VIEWS (layers.py), TONE_MAPS and COLOR_MAPS
+/* COLOR, TONE_ACES, MAP_HEAT, DIFFERENCE, SIGNED, CLIPPING and so on are the places in VIEWS (layers.py), TONE_MAPS and COLOR_MAPS
    (displays.py), COMPARISONS, OVERLAYS and DIFFERENCES (view.py): canvas.py defines them. */
-
-/* Edges, from where they begin to show to where they are full: second difference of inverse depth, relative (planes
-   have none), and of motion, pixels; first difference of displayed brightness. */
-#define DEPTH_EDGE vec2(0.03, 0.12)
-#define MOTION_EDGE vec2(0.05, 0.3)
-#define COLOR_EDGE vec2(0.08, 0.25)
 
 struct Layer {
     int components, plane;
@@ -33,7 +27,7 @@ struct Layer {
 };
 
 uniform Layer layer[2];
-uniform sampler2DArray texels_a, texels_b, rendered_depth, rendered_motion, rendered_color;
+uniform sampler2DArray texels_a, texels_b, rendered_depth;
 uniform sampler2D color_maps;   /* a row each */
 
 uniform vec2 corner, size;      /* of what is drawn, in the framebuffer */
@@ -41,17 +35,11 @@ uniform vec2 center, display_size;
 uniform float zoom;
 uniform vec3 background;
 uniform float grid_contrast;
-uniform int difference;         /* ABSOLUTE, SIGNED or RELATIVE */
-uniform float difference_high, error_high;
-uniform bool error_squared;
+uniform int difference;         /* ABSOLUTE, SIGNED, RELATIVE or MEAN */
+uniform float difference_high;
 
-uniform bool has_depth, has_motion, has_color, has_source, has_previous;
-uniform vec4 rendered_area;
-uniform float rendered_gain;
-uniform mat3x4 to_previous;     /* view space of the rendered camera -> of the one before; its columns are rows */
+uniform bool has_depth, has_source;
 uniform vec4 source_inverse;    /* 1/fx, 1/fy, cx, cy of the rendered camera */
-uniform vec4 previous_pinhole;  /* fx, fy, cx, cy of the one before */
-uniform float residual_scale;
 
 out vec4 pixel;
 
@@ -215,6 +203,7 @@ vec3 color_difference(const vec2 uv) {
     vec3 a = show(0, uv), b = show(1, uv), d = a - b;
     if (difference == SIGNED) return diverging(mean_of(d));
     if (difference == RELATIVE) return relative(mean_of(abs(d)), max(mean_of(a), mean_of(b)));
+    if (difference == MEAN) return mapped(mean_of(abs(d)) / difference_high, MAP_HEAT);
     return abs(d) / difference_high;
 }
 
@@ -234,84 +223,11 @@ vec3 show_difference(const vec2 uv) {
     return mapped(min(size, 1e18) / difference_high, MAP_HEAT);
 }
 
-/* Error between both layers: of display values where they are color or differ in kind, of the values elsewhere. */
-vec3 show_error(const vec2 uv) {
-    if (!covers(0, uv) || !covers(1, uv)) return background;
-    vec4 a = load(0, uv_of(0, uv)), b = load(1, uv_of(1, uv));
-    float error, square;
-    if (VIEW_A == COLOR || VIEW_A != VIEW_B) {
-        if (is_bad(a.rgb) || is_bad(b.rgb)) return checker();
-        vec3 d = abs(show(0, uv) - show(1, uv));
-        error = (d.x + d.y + d.z) / 3.0;
-        square = dot(d, d) / 3.0;
-    } else {
-        vec4 va = vector_of(0, uv_of(0, uv), a), vb = vector_of(1, uv_of(1, uv), b);
-        if (va.w == 0.0 || vb.w == 0.0) return hatch();
-        if (is_nan(dot(va, va)) || is_nan(dot(vb, vb))) return checker();
-        bool named = VIEW_A == LABEL || VIEW_A == MASK;
-        error = va == vb ? 0.0 : named ? error_high : min(length(va.xyz - vb.xyz), 1e18);  /* inf if one is: largest */
-        square = named ? error : error * error;
-    }
-    return mapped((error_squared ? square : error) / error_high, MAP_HEAT);
-}
-
-float inverse_depth(const ivec2 p) {
-    float z = texelFetch(rendered_depth, ivec3(p, 0), 0).r;
-    return z > 0.0 && !is_bad(z) ? 1.0 / z : 0.0;
-}
-vec2 motion_at(const ivec2 p) { return texelFetch(rendered_motion, ivec3(p, 0), 0).rg; }
-float brightness(const ivec2 p) {
-    return dot(srgb(rendered_gain * texelFetch(rendered_color, ivec3(p, 0), 0).rgb), vec3(0.2126, 0.7152, 0.0722));
-}
-
-/* How much of an edge of (depth, motion, color) there is between a pixel and both its neighbors along `step`. */
-vec3 edges_along(const vec2 uv, const ivec2 step) {
-    vec3 found = vec3(0.0);
-    ivec2 texels = textureSize(rendered_depth, 0).xy, p = texel_at(uv, texels), q = p - step, r = p + step;
-    if (has_depth && all(greaterThanEqual(q, ivec2(0))) && all(lessThan(r, texels))) {
-        float a = inverse_depth(q), b = inverse_depth(p), c = inverse_depth(r);
-        found.x = smoothstep(DEPTH_EDGE.x, DEPTH_EDGE.y, abs(a + c - 2.0 * b) / max(max(a, c), max(b, 1e-20)));
-    }
-    texels = textureSize(rendered_motion, 0).xy, p = texel_at(uv, texels), q = p - step, r = p + step;
-    if (has_motion && all(greaterThanEqual(q, ivec2(0))) && all(lessThan(r, texels)))
-        found.y = smoothstep(MOTION_EDGE.x, MOTION_EDGE.y, length(motion_at(q) + motion_at(r) - 2.0 * motion_at(p)));
-    texels = textureSize(rendered_color, 0).xy, p = texel_at(uv, texels), q = p - step, r = p + step;
-    if (has_color && all(greaterThanEqual(q, ivec2(0))) && all(lessThan(r, texels))) {
-        float here = brightness(p);
-        found.z = smoothstep(COLOR_EDGE.x, COLOR_EDGE.y, max(abs(here - brightness(q)), abs(here - brightness(r))));
-    }
-    return found;
-}
-
-/* Motion of the rendered frame that its camera does not explain, pixels; false where that is unknown. */
-bool residual_motion(const vec2 uv, out vec2 residual) {
-    ivec2 texels = textureSize(rendered_depth, 0).xy, at = texel_at(uv, texels);
-    float z = texelFetch(rendered_depth, ivec3(at, 0), 0).r;
-    vec2 px = vec2(at) + 0.5, mv_px = motion_at(texel_at(uv, textureSize(rendered_motion, 0).xy));
-    bool far = is_sky(z);
-    vec4 view_pos = vec4(unproject(px, far ? 1.0 : z, source_inverse), far ? 0.0 : 1.0);
-    vec3 before = view_pos * to_previous;
-    residual = mv_px - (previous_pinhole.xy * before.xy / before.z + previous_pinhole.zw - px);
-    return z > 0.0 && before.z > 0.0 && !is_bad(residual.x) && !is_bad(residual.y);
-}
-
 vec3 overlaid(const vec3 picture, const vec2 uv) {
-    vec2 rendered_uv = mix(rendered_area.xy, rendered_area.zw, uv);
-    vec3 dimmed = vec3(0.35 * dot(picture, vec3(0.2126, 0.7152, 0.0722)));
-    if (OVERLAY == CLIPPING) {
-        if (VIEW_A != COLOR || !covers(0, uv)) return picture;
-        vec3 c = load(0, uv_of(0, uv)).rgb * layer[0].gain;
-        if (min(c.r, min(c.g, c.b)) < 0.0) return NEGATIVE;
-        return max(c.r, max(c.g, c.b)) > 1.0 ? CLIPPED : picture;
-    }
-    if (OVERLAY == 0 || !inside(rendered_uv)) return picture;
-    if (OVERLAY == EDGES) {
-        vec3 found = max(edges_along(rendered_uv, ivec2(1, 0)), edges_along(rendered_uv, ivec2(0, 1)));
-        return mix(dimmed, found, max(found.x, max(found.y, found.z)));
-    }
-    vec2 residual;
-    if (!(has_depth && has_motion && has_previous) || !residual_motion(rendered_uv, residual)) return dimmed;
-    return mix(dimmed, hue_of(residual), share_of(residual, residual_scale));
+    if (OVERLAY != CLIPPING || VIEW_A != COLOR || !covers(0, uv)) return picture;
+    vec3 c = load(0, uv_of(0, uv)).rgb * layer[0].gain;
+    if (min(c.r, min(c.g, c.b)) < 0.0) return NEGATIVE;
+    return max(c.r, max(c.g, c.b)) > 1.0 ? CLIPPED : picture;
 }
 
 vec3 with_grid(const vec3 c, const vec2 uv) {
@@ -328,7 +244,6 @@ void main() {
     vec3 c = background;
     if (inside(uv)) {
         if (COMPARE == DIFFERENCE) c = show_difference(uv);
-        else if (COMPARE == ERROR) c = show_error(uv);
         else c = show(0, uv);
         c = overlaid(c, uv);
         c = with_grid(c, uv);

@@ -164,7 +164,7 @@ class FrameInfo:
     display_size : (width, height) of the image that is looked at; all layers are stretched over it
     render_size : of the rendered frame; None: as the display
     exposure : of the sequence
-    source, previous : render cameras of the rendered frame shown and of the one before it, where known
+    source : render camera of the rendered frame shown, where known
     source_area : the part (x0, y0, x1, y1) of the rendered image that covers the display, in fractions of its sides
         (see `area_of`)
     """
@@ -173,7 +173,6 @@ class FrameInfo:
     render_size: tuple[int, int] | None = None
     exposure: float = 1.0
     source: Camera | None = None
-    previous: Camera | None = None
     source_area: Area = (0.0, 0.0, 1.0, 1.0)
 
     def pixel_of(self, spec: LayerSpec, place: tuple[float, float]) -> tuple[int, int] | None:
@@ -229,7 +228,7 @@ def default_display(spec: LayerSpec) -> Display:
     if grid_of(spec.grid).kind == "network":
         display = replace(display, color_map="gray")
     if spec.limits:
-        display = replace(display, low=spec.limits[0], high=spec.limits[1])
+        display = replace(display, low=spec.limits[0], high=spec.limits[1], motion_scale=spec.limits[1])
     return display
 
 

@@ -3,6 +3,7 @@ colors, as display.frag has them."""
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -26,7 +27,7 @@ from .displays import (
     shown_as,
     wheel_color,
 )
-from .view import FLIP_MAP, FLIP_SPEC, View, difference, error
+from .view import FLIP_MAP, FLIP_SPEC, View, difference
 
 
 @dataclass(frozen=True)
@@ -181,7 +182,7 @@ def numbers_of(view: View, contents: Contents, flip: np.ndarray | None) -> list[
     if view.compare == "split":
         sides = ((a, (0.0, view.split)), (b, (view.split, 1.0)))
         return [Numbers(side, side.values, part) for side, part in sides if side is not None]
-    if view.compare not in ("difference", "error"):
+    if view.compare != "difference":
         return [] if a is None else [Numbers(a, a.values)]
     if a is None or b is None:
         return []
@@ -192,17 +193,15 @@ def numbers_of(view: View, contents: Contents, flip: np.ndarray | None) -> list[
 
     def compared(rows: np.ndarray, columns: np.ndarray) -> np.ndarray:
         values = first.compared(rows, columns), second.compared(*second.beside(first, rows, columns))
-        if view.compare == "error":
-            return error(kind, view.error == "squared", *values)
         return difference(kind, view.difference, *values)
 
     return [Numbers(first, compared)]
 
 
 def largest(view: View, contents: Contents, flip: np.ndarray | None) -> tuple[tuple[int, int], float] | None:
-    """Return the display pixel with the largest difference or error that a view shows, and that number; None where
+    """Return the display pixel with the largest difference or FLIP error that a view shows, and that number; None where
     there is none. Arguments as of `numbers_of`."""
-    if view.compare not in ("difference", "error") and view.a != FLIP_MAP:
+    if view.compare != "difference" and view.a != FLIP_MAP:
         return None
     for shown in numbers_of(view, contents, flip):
         height, width = shown.grid.image.shape[:2]
@@ -214,6 +213,58 @@ def largest(view: View, contents: Contents, flip: np.ndarray | None) -> tuple[tu
             pixel = shown.grid.frame.pixel_of(shown.grid.spec, place)
             return None if pixel is None else (pixel, float(errors[at]))
     return None
+
+
+Rectangle = tuple[int, int, int, int]  # x0, y0, x1, y1 on the display, pixels; x1 and y1 are outside
+STATISTICS = ("min", "max", "mean", "median")
+
+
+def sides_of(view: View, contents: Contents) -> list[tuple[str, Texels]]:
+    """Return the layers A and, where it is compared, B, by these letters; those that are there."""
+    found = [("B" if names.is_second(view.a) else "A", texels(view.a, view.a_display, contents))]
+    found += [("B", texels(view.b, view.b_display, contents))] if view.compare != "off" else []
+    return [(letter, side) for letter, side in found if side is not None]
+
+
+def values_in(sides: list[tuple[str, Texels]], rectangle: Rectangle) -> dict[str, np.ndarray]:
+    """Return (N, channels) float64, in the layers' own units: the values of texels whose centers lie in a rectangle of
+    the display, at least of one texel: of A's, of B's at these places, and A − B of numbers of one kind."""
+    made = {}
+    for letter, side in sides:
+        x, y = (
+            np.arange(*_between(first, last, start, scale, count))
+            for first, last, start, scale, count in zip(
+                rectangle[:2], rectangle[2:], side.start, side.scale, side.image.shape[1::-1], strict=True
+            )
+        )
+        rows, columns = (at.ravel() for at in np.meshgrid(y, x, indexing="ij"))
+        made[letter] = side.image[rows, columns, : 3 if side.spec.view == "color" else None].astype(np.float64)
+    if len(made) < 2:
+        return made
+    (_, a), (_, b) = sides
+    alike = a.spec.view == b.spec.view not in ("label", "mask") and a.image.shape == b.image.shape
+    with np.errstate(invalid="ignore"):
+        return made | ({"A − B": made["A"] - made["B"]} if alike and made["A"].shape == made["B"].shape else {})
+
+
+def _between(first: float, last: float, start: float, scale: float, count: int) -> tuple[int, int]:
+    """Return the first texel, and the one after the last, whose centers lie between two positions on the display, else
+    that in their middle."""
+    low, high = (min(max(math.ceil((at - start) / scale - 0.5), 0), count) for at in (first, last))
+    middle = min(max(math.floor(((first + last) / 2 - start) / scale), 0), count - 1)
+    return (low, high) if low < high else (middle, middle + 1)
+
+
+def statistics(sides: list[tuple[str, Texels]], rectangle: Rectangle) -> list[tuple[str, list[float], float]]:
+    """Return a name ("A R"), the `STATISTICS` of the finite values and their share, for each channel of `values_in`."""
+    made, names_of = [], sides[0][1].spec.components if sides else ()
+    for letter, values in values_in(sides, rectangle).items():
+        for index, channel in enumerate(values.T):
+            known = channel[np.isfinite(channel)]
+            found = [float(of(known)) for of in (np.min, np.max, np.mean, np.median)] if known.size else []
+            name = names_of[index] if len(names_of) > index else ""
+            made.append((f"{letter} {name}".strip(), found, known.size / channel.size))
+    return made
 
 
 def texels(

@@ -11,10 +11,9 @@ from gffe_cl.engine.inspection.layers import LayerSpec
 from gffe_cl.lab.metrics import flip_error, to_display
 from .displays import Display, Rgb, shown_as
 
-COMPARISONS = ("off", "split", "difference", "flip", "error")  # "flip": the caller shows b as a
-OVERLAYS = ("none", "edges", "residual motion", "clipping")
+COMPARISONS = ("off", "split", "difference", "flip")  # "flip": the caller shows b as a
+OVERLAYS = ("none", "clipping")
 CLIPPING: dict[str, Rgb] = {"below 0": (0.1, 0.35, 1.0), "above white": (1.0, 0.15, 0.1)}
-ERRORS = ("absolute", "squared")
 
 Size = tuple[int, int]
 
@@ -27,12 +26,10 @@ class View:
     ----------
     a, b : names of layers; one that is not uploaded shows the background
     compare : "off" and "flip" show a; "split" a left of `split` (fraction of the canvas' width) and b right of it;
-        "difference" a − b, as `difference` of DIFFERENCES, times `gain`; "error" an error map, `error` of ERRORS up to
-        `error_high`
+        "difference" a − b, as `difference` of DIFFERENCES, times `gain`
     zoom : screen pixels per display pixel
     center : display pixel (x, y) in the middle of the canvas
-    overlay : one of OVERLAYS, over whatever is compared; residual motion has full color at `residual_scale` pixels;
-        clipping marks colors of a by CLIPPING, as they are exposed
+    overlay : one of OVERLAYS, over whatever is compared; clipping marks colors of a by CLIPPING, as they are exposed
     grid : lines between pixels when zoomed in
     line : width of the wipe's line, screen pixels
     """
@@ -49,9 +46,6 @@ class View:
     background: Rgb = (0.11, 0.11, 0.12)
     gain: float = 4.0
     difference: str = "absolute"
-    error: str = "absolute"
-    error_high: float = 0.1
-    residual_scale: float = 4.0
     grid: bool = True
     line: float = 2.0
 
@@ -82,7 +76,7 @@ def flip_map(a: np.ndarray, b: np.ndarray, exposure: float) -> np.ndarray:
     return flip_error(*(to_display(color[..., :3], exposure) for color in (a, b)))
 
 
-DIFFERENCES = ("absolute", "signed", "relative")
+DIFFERENCES = ("absolute", "signed", "relative", "mean")  # "mean": over the channels of a color
 COLOR = "color"
 _VECTORS = ("motion", "place")  # a signed difference has a direction
 _NAMED = ("label", "mask")  # values that are equal or not
@@ -130,8 +124,8 @@ def difference(kind: str, how: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
         by = np.where(a == b, 0.0, a - b)
         if kind == COLOR:
             mean = by.mean(-1, keepdims=True)
-            if how == "absolute":
-                return np.abs(by)
+            if how in ("absolute", "mean"):
+                return np.abs(by) if how == "absolute" else np.abs(by).mean(-1, keepdims=True)
             if how == "signed":
                 return mean
             larger = np.maximum(a.mean(-1, keepdims=True), b.mean(-1, keepdims=True))
@@ -148,11 +142,3 @@ def difference(kind: str, how: str, a: np.ndarray, b: np.ndarray) -> np.ndarray:
 def _share(part: np.ndarray, whole: np.ndarray) -> np.ndarray:
     """Return part / whole; 0 of nothing, and 1 where both are infinite."""
     return np.where(part == 0, 0.0, np.where(np.isinf(part), 1.0, part / whole))
-
-
-def error(kind: str, squared: bool, a: np.ndarray, b: np.ndarray) -> np.ndarray:
-    """Return (N, 1): the error map's number of the same values."""
-    by = difference(kind, "absolute", a, b)
-    if kind != COLOR:
-        return by**2 if squared and kind not in _NAMED else by
-    return (by**2 if squared else by).mean(-1, keepdims=True)

@@ -221,47 +221,21 @@ class Actions:
             release(self._app)
 
     def search(self, text: str) -> list[Action]:
-        """Return the actions that match every word of `text`, those that can run first, best first; all for no text.
-
-        A word matches a word of the label or, less well, of the group: whole, its beginning, a part, or letters of
-        the label in their order ("tgl" finds Toggle). Of equals the shorter label comes first.
-        """
+        """Return the actions whose label or group has every word of `text`, or a part of it, those that can run first,
+        then those of whose label it is the beginning of a word; all for no text."""
         words = _words(text)
         found = []
         for place, action in enumerate(action for action in self if not action.takes):
-            scores = [_score(word, action) for word in words]
-            if all(scores):
-                length = len(action.label) if words else 0
-                found.append((action.enabled(self._app) is not None, -sum(scores), length, place, action))
+            label = " ".join(_words(action.label))
+            if all(word in f"{label} {' '.join(_words(action.group))}" for word in words):
+                begun = sum(f" {word}" in f" {label}" for word in words)
+                length = len(label) if words else 0
+                found.append((action.enabled(self._app) is not None, -begun, length, place, action))
         return [action for *_, action in sorted(found, key=lambda entry: entry[:-1])]
 
 
 def _words(text: str) -> list[str]:
     return re.findall(r"[^\W_]+", text.casefold())
-
-
-def _score(word: str, action: Action) -> float:
-    """Return how well a word matches an action, 0 to 100."""
-    label, group = _words(action.label), _words(action.group)
-    best = max((_match(word, other) for other in label), default=0)
-    best = max(best, *(_match(word, other) / 2 for other in group), 0)
-    initials = "".join(other[0] for other in label)
-    if len(word) > 1 and initials.startswith(word):
-        best = max(best, 60)
-    return best or (10 if _in_order(word, "".join(label)) else 0)
-
-
-def _match(word: str, other: str) -> float:
-    if word == other:
-        return 100
-    if other.startswith(word):
-        return 70 + 20 * len(word) / len(other)
-    return 40 if word in other else 0
-
-
-def _in_order(letters: str, text: str) -> bool:
-    rest = iter(text)
-    return all(letter in rest for letter in letters)
 
 
 # ---- arguments of actions ----------------------------------------------------------------------------------------

@@ -45,7 +45,8 @@ def legend(spec: LayerSpec, display: Display) -> Legend:
             "none", labels=tuple((text, LABEL_COLORS[value & 15 ^ label_flip(spec)]) for value, text in named)
         )
     if view in ("motion", "place"):
-        return Legend("wheel", unit=f"full color from {display.motion_scale:.3g} px")
+        what = "motion − static: " * (spec.name == names.RESIDUAL)
+        return Legend("wheel", unit=f"{what}full color from {display.motion_scale:.3g} px")
     colors, marks = color_table(display.color_map), []
     for position in (0.0, 0.25, 0.5, 0.75, 1.0):
         value = display.low + (display.high - display.low) * position
@@ -137,10 +138,7 @@ class Captions:
 
     def legends(self) -> list[tuple[str, Legend]]:
         """Return the ramps and wheels of the picture, each with "A" if it is that of A in a wipe, else ""."""
-        found = self._shown()
-        if self._view.overlay == "residual motion":
-            found = [*found, ("", legend(_VECTORS, Display(motion_scale=self._view.residual_scale)))]
-        return [(side, shown) for side, shown in found if shown is not None and shown.kind != "none"]
+        return [(side, shown) for side, shown in self._shown() if shown is not None and shown.kind != "none"]
 
     def _shown(self) -> list[tuple[str, Legend | None]]:
         view, comparison = self._view, self._comparison
@@ -148,8 +146,8 @@ class Captions:
             return [("", self._layer(view.b))]
         if comparison.nothing:
             return []
-        if view.compare in ("error", "flip error"):
-            return [("", replace(legend(FLIP_SPEC, comparison.error_display), unit=self._error_unit()))]
+        if view.compare == "flip error":
+            return [("", replace(legend(FLIP_SPEC, comparison.error_display), unit="FLIP, 0 to 1"))]
         if view.compare == "difference":
             return [("", self._difference())]
         if view.compare == "split" and view.b and names.plain(view.b) != view.a:
@@ -167,14 +165,6 @@ class Captions:
         view, contents, looks = self._view, self._contents, self._looks
         a, b = contents.spec(view.a), contents.spec(view.b)
         return None if a is None or b is None or view.b is None else ((a, looks.of(view.a)), (b, looks.of(view.b)))
-
-    def _error_unit(self) -> str:
-        """Return the unit of the error map's numbers."""
-        if self._view.compare == "flip error":
-            return "FLIP, 0 to 1"
-        sides = self._sides()
-        unit = unit_of(*sides) if sides else ""
-        return f"{unit}, squared" if self._view.error == "squared" and unit else unit
 
     def _difference(self) -> Legend | None:
         """Return the legend of a difference: a color bar, or a wheel of directions."""

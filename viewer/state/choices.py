@@ -6,7 +6,7 @@ from gffe_cl.engine.inspection import names
 from gffe_cl.engine.options import Options
 from ..engine.jobs import Jobs
 from ..engine.messages import Setup
-from ..picture.current_frame import Contents
+from ..picture.current_frame import VECTORS, Contents
 from ..picture.displays import Display
 from ..picture.looks import Looks
 from ..picture.view import View
@@ -71,9 +71,16 @@ class Choices:
 
     @property
     def second(self) -> Setup | None:
-        """B's setup while anything of it is shown."""
-        kept = None if self.overview else self.comparison.second
-        return None if kept is None else kept.setup(self.playback.n)
+        """B's setup while anything of it is shown: that of A for a neighbor."""
+        if self.overview or (self.comparison.neighbor and not self.comparison.is_shown):
+            return None
+        kept = self.comparison.second
+        return self.setup if self.comparison.neighbor else None if kept is None else kept.setup(self.playback.n)
+
+    @property
+    def follows(self) -> bool:
+        """Whether B is a neighbor that is shown where motion vectors lead."""
+        return bool(self.comparison.neighbor) and self.comparison.follows and self.second is not None
 
     def layers(self) -> frozenset[str]:
         """Return the names of the layers that are read back of A; of the displayed image alone while they are not
@@ -83,8 +90,7 @@ class Choices:
         view, wanted = self.view, {self.view.a} | (_MEASURED if self.measuring else frozenset())
         if view.compare != "off" and view.b and not names.is_second(view.b):
             wanted.add(view.b)
-        if view.overlay in ("edges", "residual motion"):
-            wanted |= {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
+        wanted |= VECTORS if self.follows else frozenset()
         specs = [self._contents.spec(name) for name in wanted]
         if any(spec is not None and spec.view == "world" for spec in specs):
             wanted.add(names.RENDERED_DEPTH)
@@ -92,4 +98,6 @@ class Choices:
 
     def layers_of_second(self) -> frozenset[str]:
         """Return the names of the layers that are read back of B."""
+        if self.comparison.neighbor:
+            return frozenset({self.view.a}) | (VECTORS if self.follows else frozenset())
         return frozenset({self.view.a}) | (_MEASURED if self.measuring else frozenset())

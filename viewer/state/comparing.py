@@ -17,22 +17,26 @@ from ..engine.jobs import Derived, Jobs
 from ..picture.current_frame import Contents
 from ..picture.displays import Display, is_sound
 from ..picture.looks import Looks
-from ..picture.view import DIFFERENCES, ERRORS, FLIP_MAP, FLIP_SPEC, View, flip_map
+from ..picture.view import DIFFERENCES, FLIP_MAP, FLIP_SPEC, View, flip_map
 from .parameters import Parameters
 from .presets import Kept, KeptSettings
 
-FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one"}
+FORMULAS = {"absolute": "|A − B|", "signed": "(A − B)", "relative": "|A − B| / the larger one", "mean": "mean |A − B|"}
 WAYS = {
     "off": "off",
     "split": "split wipe",
     "flip": "flip (hold B)",
     "difference": "difference",
-    "error": "error map",
     "flip error": "FLIP error",
 }
+NEIGHBORS: tuple[str, ...] = (
+    "rendered frame before",
+    "rendered frame after",
+    "new frame before",
+)  # as B: A's layer in that frame
 FLIP_HIGH = 0.5
 BUILD_LETTERS = 6  # of the identity of a build
-_NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0), "error_high": (0.01, 1.0)}  # of a view, with their ranges
+_NUMBERS = {"split": (0.0, 1.0), "gain": (1.0, 32.0)}  # of a view, with their ranges
 
 
 class Comparison:
@@ -41,6 +45,8 @@ class Comparison:
     def __init__(self, view: View, contents: Contents, looks: Looks, settings: KeptSettings, background: Jobs):
         self._view, self._contents, self._looks, self._settings = view, contents, looks, settings
         self._by_settings = False
+        self.neighbor = ""  # one of NEIGHBORS that is B
+        self.follows = False  # a neighbor is shown where motion vectors lead
         self.same_settings = False  # B's settings are A's
         self.flipped = False  # B is shown as long as a key is held
         self.flip_high = FLIP_HIGH
@@ -68,15 +74,29 @@ class Comparison:
         return self._by_settings and self._settings.b is not None
 
     @property
+    def is_shown(self) -> bool:
+        """Whether something of B is to be shown."""
+        return self._view.compare != "off" or self.flipped
+
+    @property
     def second(self) -> Kept | None:
         """B's settings while something of them is to be shown, else None."""
-        return self._settings.b if self.by_settings and (self._view.compare != "off" or self.flipped) else None
+        return self._settings.b if self.by_settings and self.is_shown else None
+
+    def slot_of_b(self, slot: int, n: int, count: int) -> int | None:
+        """Return the slot that B shows beside A's; None if there is no such neighbor. `count`: of rendered frames."""
+        k, j = divmod(slot, n + 1)
+        neighbors = (k - (j == 0)) * (n + 1), (k + 1) * (n + 1), slot - 1 if j != 1 else slot - 2
+        found = neighbors[NEIGHBORS.index(self.neighbor)] if self.neighbor else slot
+        return found if 0 <= found < count * (n + 1) else None
 
     @property
     def nothing(self) -> str:
         """Why there is nothing to compare, although a comparison is on: A and B are the same. Empty if they are not."""
         if self._view.compare == "off":
             return ""
+        if self.neighbor:
+            return "" if self._contents.second is not None else f"there is no {self.neighbor} here"
         if self.by_settings:
             return "A and B have the same settings" if self.same_settings else ""
         return "A and B are the same layer" if self._view.b == self._view.a else ""
@@ -94,17 +114,25 @@ class Comparison:
         """Compare with kept settings, by default with those that are B already."""
         if name is not None:
             self._settings.choose(name)
-        self._by_settings = self._settings.b is not None
+        self._by_settings, self.neighbor = self._settings.b is not None, ""
         self.follow()
 
     def with_layer(self, name: str) -> None:
         """Compare with another layer."""
-        self._by_settings, self._view.b = False, name
+        self._by_settings, self.neighbor, self._view.b = False, "", name
+
+    def with_neighbor(self, which: str) -> None:
+        """Compare with A's layer in a neighbor of the frame, one of NEIGHBORS; by difference, unless it is compared
+        already."""
+        self._by_settings, self.neighbor = False, which
+        self.follow()
+        if self._view.compare == "off":
+            self.set("difference")
 
     def follow(self) -> None:
-        """Make B's layer that of A where settings are compared. Where they no longer are, B is given up."""
+        """Make B's layer that of A where settings or frames are compared. Where they no longer are, B is given up."""
         view = self._view
-        if self.by_settings:
+        if self.by_settings or self.neighbor:
             view.b = names.of_second(view.a)
         elif names.is_second(view.b):
             view.b, view.compare = None, "off"
@@ -121,12 +149,15 @@ class Comparison:
             self.set("split")
 
     def toggle(self, way: str) -> None:
+        if way == "difference" and self._view.difference == "mean":
+            self._view.difference, self._view.compare = "absolute", "off"
         self.set("off" if self._view.compare == way else way)
 
     def subtract(self, how: str) -> None:
-        """Show the difference of A and B as `how`, one of DIFFERENCES."""
+        """Show the difference of A and B as `how`, one of DIFFERENCES; if it is shown already, A."""
+        is_shown = (self._view.compare, self._view.difference) == ("difference", how)
         self._view.difference = how
-        self.set("difference")
+        self.set("off" if is_shown else "difference")
 
     def flip(self, down: bool) -> None:
         """Show B instead of A as long as the key is held; from then on B is read back with A."""
@@ -159,32 +190,22 @@ class Comparison:
 
     @property
     def error_display(self) -> Display:
-        """Display settings of error maps."""
-        return Display(high=self.brightest, color_map="heat")
-
-    @property
-    def brightest(self) -> float:
-        """The error that is shown in the brightest color; maps of FLIP have their own."""
-        return self.flip_high if self._view.compare == "flip error" else self._view.error_high
-
-    @brightest.setter
-    def brightest(self, error: float) -> None:
-        if self._view.compare == "flip error":
-            self.flip_high = error
-        else:
-            self._view.error_high = error
+        """Display settings of FLIP's error map."""
+        return Display(high=self.flip_high, color_map="heat")
 
     def scale_text(self) -> str:
         """Return the meaning of the colors of a difference or an error; empty where layers are shown as they are."""
         view = self._view
         if self.nothing:
             return f"{self.nothing}: nothing is compared"
-        if self.flipped or view.compare not in ("difference", "error", "flip error"):
+        if self.flipped or view.compare not in ("difference", "flip error"):
             return ""
         if view.compare == "difference":
-            return f"{FORMULAS[view.difference]} × {view.gain:g}"
-        kind = "FLIP error" if view.compare == "flip error" else f"{view.error} error"
-        return f"{kind}, brightest from {self.brightest:.3g}"
+            lost = ", B along motion vectors, checkered where they lead out of it" * bool(
+                self.neighbor and self.follows
+            )
+            return f"{FORMULAS[view.difference]} × {view.gain:g}{lost}"
+        return f"FLIP error, brightest from {self.flip_high:.3g}"
 
     @property
     def ready(self) -> bool:
@@ -235,13 +256,13 @@ class Comparison:
 
     def preferences(self) -> dict[str, Any]:
         """Return the choices to remember, as plain JSON."""
-        saved = {name: getattr(self._view, name) for name in ("compare", "b", "error", "difference", *_NUMBERS)}
-        return saved | ({"compare": "off", "b": None} if self.by_settings else {})
+        saved = {name: getattr(self._view, name) for name in ("compare", "b", "difference", *_NUMBERS)}
+        return saved | ({"compare": "off", "b": None} if names.is_second(self._view.b) else {})
 
     def restore(self, saved: dict[str, Any]) -> None:
         """Restore the result of `preferences`. A damaged value affects only itself."""
         view = self._view
-        for name, choices in (("compare", tuple(WAYS)), ("error", ERRORS), ("difference", DIFFERENCES)):
+        for name, choices in (("compare", tuple(WAYS)), ("difference", DIFFERENCES)):
             if saved.get(name) in choices:
                 setattr(view, name, saved[name])
         for name, (low, high) in _NUMBERS.items():

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from concurrent.futures import Future
+from dataclasses import replace
 from functools import partial
 from itertools import islice
 from typing import TYPE_CHECKING, Any
 
-from gffe_cl.captures.sequence import Sequence
+import numpy as np
+
+from gffe_cl.captures.sequence import FrameEntry, Sequence
 from gffe_cl.engine.core.errors import GffeError
+from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from ..engine.engine import Engine, open_viewer_device
 from ..engine.jobs import Jobs
 from ..engine.messages import Key, Recipe
@@ -66,6 +71,101 @@ def _examined(sequence: Sequence) -> Any:
     return examine(sequence, sequence.exposure)
 
 
+INVALID, REPEATED, UNEVEN, START, MISPLACED = "invalid", "repeated", "uneven time", "reset or cut", "doctor"
+_REST = 3  # copies of a frame in a row: of more the camera rests
+_EVEN, _MOST_UNEVEN = 0.02, 1 / 3  # of the usual interval; share of uneven ones, beyond which they are usual
+
+
+class Scan:
+    """Faults of the rendered frames of a recorded source, found in idle time on a thread of its own.
+
+    Attributes
+    ----------
+    done : int
+        Frames that were looked at, from the first on.
+    """
+
+    def __init__(self, source: FrameSource):
+        self._source: Any = source
+        self._jobs = Jobs("scan")
+        self._job: Future | None = None
+        self._may_run = False
+        self._before: RenderedFrame | None = None  # looked at last
+        self._found: dict[int, dict[str, str]] = {}
+        self._copies: set[int] = set()  # frames that are those before, and whose camera is
+        self._marks: tuple[tuple[int, int], dict[int, dict[str, str]]] = ((-1, 0), {})  # and what they were made of
+        self.done = 0
+
+    def update(self, may_run: bool) -> None:
+        """Go on while there is nothing else to do. Call once per frame of the interface."""
+        self._may_run = may_run
+        if may_run and self.busy and (self._job is None or self._job.done()):
+            self._job = self._jobs.run(self._run)
+
+    @property
+    def busy(self) -> bool:
+        """Whether frames are left to look at."""
+        return self.done < self._source.count
+
+    def close(self) -> None:
+        self._may_run = False
+        self._jobs.close()
+
+    @property
+    def marks(self) -> dict[int, dict[str, str]]:
+        """Faults by rendered frame and kind, in words, as far as they are known."""
+        known = self.done, self._source.count
+        if known != self._marks[0]:
+            self._marks = known, self._made()
+        return self._marks[1]
+
+    def _made(self) -> dict[int, dict[str, str]]:
+        found = {k: dict(kinds) for k, kinds in self._found.copy().items()}
+        runs: list[list[int]] = []
+        for k in sorted(self._copies):
+            runs[-1].append(k) if runs and runs[-1][-1] == k - 1 else runs.append([k])
+        for k in (k for run in runs if len(run) <= _REST for k in run):
+            found.setdefault(k, {})[REPEATED] = "repeats the frame before, with its camera"
+        for k, text in _uneven(self._source.sequence.rendered).items():
+            found.setdefault(k, {})[UNEVEN] = text
+        return found
+
+    def _run(self) -> None:
+        while self._may_run and self.busy:
+            k, entry = self.done, self._source.sequence.rendered[self.done]
+            try:
+                frame = self._source.sequence.read(entry)
+                kinds = self._kinds(k, frame, self._before if k and not entry.reset else None)
+            except GffeError as error:
+                frame, kinds = None, {INVALID: str(error)}
+            self._found |= {k: kinds} if kinds else {}
+            self._before, self.done = frame, k + 1
+
+    def _kinds(self, k: int, frame: RenderedFrame, before: RenderedFrame | None) -> dict[str, str]:
+        bad = replace(frame.bad, clamped=0, far=0)
+        kinds = {INVALID: str(bad)} if bad else {}
+        if before is None:
+            return kinds
+        pairs = {name: (getattr(frame, name), getattr(before, name)) for name in ("color", "depth", "motion")}
+        both = {name: pair for name, pair in pairs.items() if all(array is not None for array in pair)}
+        same = [name for name, pair in both.items() if np.array_equal(*pair, equal_nan=True)]
+        if frame.camera != before.camera and same:
+            kinds[REPEATED] = f"{', '.join(same)} of the frame before, to the bit, although the camera moves"
+        elif {"color", "depth"} <= set(same):
+            self._copies.add(k)
+        return kinds
+
+
+def _uneven(entries: list[FrameEntry]) -> dict[int, str]:
+    """Return the rendered frames whose interval to the one before is not the usual one, with both in words; none where
+    many are not."""
+    steps = {k: here.time - entries[k - 1].time for k, here in enumerate(entries) if k and not here.reset}
+    usual = float(np.median(list(steps.values()))) if steps else 0.0
+    uneven = {k: step for k, step in steps.items() if abs(step - usual) > _EVEN * usual}
+    texts = {k: f"{1e3 * step:.1f} ms after the frame before, usually {1e3 * usual:.1f}" for k, step in uneven.items()}
+    return texts if len(texts) <= _MOST_UNEVEN * len(steps) else {}
+
+
 class Document:
     """The open sequence or scene, one at a time.
 
@@ -84,6 +184,8 @@ class Document:
         The source that is being opened is the present one, read again.
     doctor : Doctor or None
         Of the open source, once requested.
+    scan : Scan or None
+        Of a recorded source.
     """
 
     def __init__(self, playback: Playback, device: str | None, plan: ScenePlan, check: bool, cache_mib: int):
@@ -96,6 +198,7 @@ class Document:
         self.notice = self.reload_fault = self.target = ""
         self.keep_place = False
         self.doctor: Doctor | None = None
+        self.scan: Scan | None = None
 
     @property
     def source(self) -> Any:
@@ -112,7 +215,13 @@ class Document:
         self.contents.open(source)
         self.notice, self.reload_fault, self.target = "", "", source.target
         self.ahead.forget()
-        self.doctor = None
+        self.close()
+        self.doctor, self.scan = None, None if source.live else Scan(source)
+
+    def close(self) -> None:
+        """Stop looking at its frames."""
+        if self.scan is not None:
+            self.scan.close()
 
     def fail(self, error: str, of_source: bool) -> None:
         """Note a failure of anything but a picture."""
@@ -135,6 +244,16 @@ class Document:
     def marks(self) -> dict[int, str]:
         """Rendered frames with findings of the doctor."""
         return self.doctor.marks if self.doctor is not None else {}
+
+    @property
+    def faults(self) -> dict[int, dict[str, str]]:
+        """Rendered frames that are marked on the timeline, in order: by kind, what is said of them."""
+        found = {k: dict(kinds) for k, kinds in (self.scan.marks if self.scan is not None else {}).items()}
+        resets = {} if self.source is None else self.contents.resets
+        for kind, marks in ((START, resets), (MISPLACED, self.marks)):
+            for k, text in marks.items():
+                found.setdefault(k, {})[kind] = text
+        return dict(sorted(found.items()))
 
     def states(self, build: str) -> list[str]:
         """Return what keeps the picture from being that of the files on disk, as long as it does; `build`: the kernels

@@ -12,14 +12,14 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from gffe_cl.engine.options import Options
 from ..engine.figures import Measurements, Timings
-from ..engine.jobs import Jobs
+from ..engine.jobs import Derived, Jobs
 from ..engine.messages import Failure, Key, Recipe, Setup
 from ..engine.sources.opening import ScenePlan
 from ..engine.sources.source import FrameSource
 from ..engine.store import CACHE_MIB, Want
 from ..picture.current_frame import Picture, Screen, Showing
 from ..picture.looks import Histogram
-from ..picture.shown_numbers import largest
+from ..picture.shown_numbers import largest, sides_of, statistics
 from .captions import Captions, Message
 from .choices import Choices
 from .comparing import BUILD_LETTERS, Sides
@@ -67,7 +67,7 @@ class Model:
         self.messages: list[Message] = []
         self.screen = Screen(self.contents)
         self.histogram = Histogram(self.view, self.contents, self.looks, beside)
-        self.showing = Showing(self.store, self.contents, self._fail)
+        self.showing = Showing(self.store, self.contents, self._fail, beside)
         self.measured = Measurements(beside)
         self.survey = Survey(self.store, self.measured, self.playback)
         self.studies = Studies(self.store, beside)
@@ -78,7 +78,7 @@ class Model:
         subject = Subject(self.contents, self.playback, self.view, self.comparison.shown, lambda: self.settled)
         self.saving = Saving(subject, self.say)
         self.flights = Flights(self.contents, self.playback)
-        self._inspection_fault = ""
+        self._inspection_fault, self._statistics = "", Derived(beside)
         self.timings = Timings()
         self.recipe = self.engine.recipe(self.setup)
         self._stopped: Picture | None = None  # by the user, while it was made
@@ -143,9 +143,7 @@ class Model:
         result = self.contents.result
         is_ready = result is not None and result.setup == self.setup and not self.showing.is_preview
         ready = result.slot if result is not None and is_ready else None
-        if ready == self.playback.shown_for(self.playback.slot):
-            ready = self.playback.slot
-        due = self._due(self.playback.shown_for(self.playback.tick(now, ready).request))
+        due = self._due(self.playback.tick(now, ready).request)
         self._take_values()
         if self.showing.update(due, self._passes and not self.stopped, self.screen.ready or result is None):
             self._shown()
@@ -180,19 +178,20 @@ class Model:
         layers = self._layers
         flyer = self.flights.at(slot) if self.flying else None
 
-        def want(recipe: Recipe, layers: frozenset[str]) -> Want:
+        def want(recipe: Recipe, layers: frozenset[str], slot: int = slot) -> Want:
             if flyer is not None:
                 key = Key(replace(recipe, flight=flyer.flight), slot, provisional=True)
                 return Want(key, layers, keep=False, pose=flyer.pose)
             return Want(Key(recipe, slot), layers, preview=True)
 
-        setup = self.choices.second
-        if setup is None:
+        setup, other = self.choices.second, self.comparison.slot_of_b(slot, self.n, self.playback.count)
+        if setup is None or other is None or (other != slot and flyer is not None):
             self.comparison.same_settings = False
             return Picture(want(self.recipe, layers))
         second = self.engine.recipe(setup)
         self.comparison.same_settings = second == self.recipe
-        return Picture(want(self.recipe, layers), want(second, self.choices.layers_of_second()))
+        of_b = want(second, self.choices.layers_of_second(), other)
+        return Picture(want(self.recipe, layers), of_b, self.choices.follows)
 
     def _wants(self, now: float) -> list[Want]:
         """Return everything that is wanted of the engine, the most urgent first."""
@@ -216,6 +215,8 @@ class Model:
             others = set() if awaited.b is None else {awaited.b.key.recipe}
             may_run = beside and showing.shows_due
             wants += self.document.ahead.wants(now, awaited.a, others, result.nbytes, may_run)
+        if self.document.scan is not None:
+            self.document.scan.update(idle and result is not None)
         self.survey.resets = sorted({0, *self.contents.resets})
         wants += self.survey.update(a, b if self.comparison.by_settings else None, self.source.exposure, idle)
         return wants
@@ -237,7 +238,7 @@ class Model:
         assert result is not None
         self.document.failure = None
         if self.choices.measuring and not result.key.provisional:
-            for made in filter(None, (result, second)):
+            for made in filter(None, (result, second if self.comparison.by_settings else None)):
                 self.measured.measure(made, self.source.exposure)
         self._upload()
         if not self.showing.is_preview:
@@ -276,6 +277,21 @@ class Model:
             self.playback.seek(slot)
         self.say(text)
 
+    def go_to_fault(self, step: int) -> None:
+        """Go to the next (1) or previous (-1) frame that is marked on the timeline, and say why."""
+        faults, k, scan = self.document.faults, self.playback.slot // (self.n + 1), self.document.scan
+        so_far = f" of the {scan.done} frames looked at so far" if scan is not None and scan.busy else ""
+        if not faults:
+            self.say(f"no frame is marked{so_far}")
+            return
+        beyond = [frame for frame in faults if (frame - k) * step > 0]
+        frame = min(beyond or faults, key=lambda one: one * step)
+        self.playback.seek(frame * (self.n + 1))
+        place = f"{list(faults).index(frame) + 1} of {len(faults)} marked frames{so_far}"
+        self.say(
+            f"rendered frame {frame} ({place}): " + "; ".join(f"{of}: {text}" for of, text in faults[frame].items())
+        )
+
     def go_to_largest(self) -> None:
         """Look at the pixel with the largest difference or error that is shown, and show a message about it."""
         found = largest(self.comparison.shown(), self.contents, self.comparison.flip_map)
@@ -284,6 +300,13 @@ class Model:
             return
         self.walk.go_to_pixel(found[0])
         self.say(f"largest: {found[1]:.4g} at ({found[0][0]}, {found[0][1]})")
+
+    def statistics(self) -> list[tuple[str, list[float], float]]:
+        """Return the statistics of the shown layers in the marked rectangle, as far as they are known."""
+        view, rectangle = self.comparison.shown(), self.pointing.rectangle
+        key = self.contents.changes, view.a, view.b, view.compare, view.a_display.plane, rectangle
+        made = self._statistics.get(key, statistics, sides_of(view, self.contents), rectangle)
+        return made if made and self._statistics.ready else []
 
     @property
     def inspects(self) -> bool:
@@ -439,6 +462,7 @@ class Model:
             return
         self._closed = True
         self.saving.close()
+        self.document.close()
         self._background.close()
         self.engine.close()
 

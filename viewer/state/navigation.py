@@ -16,6 +16,7 @@ from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Li
 from ..engine.messages import Failure, Key
 from ..engine.store import Pixel, Store, Want
 from ..picture.current_frame import Contents
+from ..picture.shown_numbers import Rectangle
 from ..picture.view import View
 from .playback import Playback
 
@@ -68,6 +69,8 @@ class Pointing:
         Values of the picked pixel.
     picked : (int, int) or None
         The pixel whose `story` is told.
+    rectangle : Rectangle or None
+        The part of the display whose statistics are told.
     enabled : bool
         False: the pointer means nothing.
     """
@@ -81,6 +84,7 @@ class Pointing:
         self.inspection: Inspection | None = None
         self.pinned: Inspection | None = None
         self.picked: Pixel | None = None
+        self.rectangle: Rectangle | None = None
         self._inspected: Key | None = None  # the slot of the inspection
         self._told: Key | None = None  # the slot of the story
 
@@ -88,17 +92,23 @@ class Pointing:
         """Note that the pointer is over this display position; None: it is elsewhere."""
         pixel = None if at is None or not self.enabled else (math.floor(at[0]), math.floor(at[1]))
         self._hovered = pixel if self._is_inside(pixel) else None
-        self.inspection = self.inspection if self._pixel else None
+        self.inspection = self.inspection if self.pixel else None
 
     def pick(self, pixel: Pixel | None) -> None:
         """Tell the story of a pixel. None, or a pixel out of the picture: the picked one is forgotten."""
         self.picked = (pixel[0], pixel[1]) if pixel is not None and self._is_inside(pixel) else None
         self.pinned = self._told = None
-        self.inspection = self.inspection if self._pixel else None
+        self.inspection = self.inspection if self.pixel else None
+
+    def mark(self, start: tuple[float, float], end: tuple[float, float]) -> None:
+        """Tell the statistics of the rectangle between two display positions; of nothing outside of the display."""
+        (x0, x1), (y0, y1) = (sorted(map(math.floor, ends)) for ends in zip(start, end, strict=True))
+        x0, y0, x1, y1 = max(x0, 0), max(y0, 0), min(x1 + 1, self._size[0]), min(y1 + 1, self._size[1])
+        self.rectangle = (x0, y0, x1, y1) if x0 < x1 and y0 < y1 else None
 
     def open(self, size: tuple[int, int]) -> None:
         """Start with another picture, of `size` pixels."""
-        self._size, self._wants = size, []
+        self._size, self._wants, self.rectangle = size, [], None
         self.inspection = self.pinned = self.picked = self._inspected = self._told = None
 
     def wants(self, key: Key) -> list[Want]:
@@ -118,7 +128,7 @@ class Pointing:
             elif isinstance(made, Inspection):
                 if want.pixel == self.picked and (self.pinned is None or self._told != want.key):
                     self.pinned, self._told = made, want.key
-                if want.pixel == self._pixel and self.inspection is not made:
+                if want.pixel == self.pixel and self.inspection is not made:
                     self.inspection, self._inspected = made, want.key
         return fault
 
@@ -148,7 +158,8 @@ class Pointing:
         return result is not None and key == result.key
 
     @property
-    def _pixel(self) -> Pixel | None:
+    def pixel(self) -> Pixel | None:
+        """The pixel under the pointer, else the picked one."""
         return self._hovered or self.picked
 
     def _is_inside(self, pixel: Pixel | None) -> bool:

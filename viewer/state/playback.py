@@ -93,7 +93,6 @@ class Playback:
     def __init__(self, count: int = 1, fps: float = 30.0, n: int = 1, times: Sequence[float] | None = None):
         self._schedule = Schedule(count, fps, n, None if times is None else tuple(map(float, times)))
         self._mode, self._speed, self._loop = REAL_TIME, 1.0, True
-        self.only_generated = False  # while it plays, the generated frame before stands in for a rendered one
         self._in: float | None = None  # seconds: points stay where they are when n changes
         self._out: float | None = None
         self._playing = self._scrubbing = False
@@ -313,12 +312,6 @@ class Playback:
         elif ready is not None and 0 <= ready < self.slots:
             self.visible = ready
         return Tick(self.slot, self.visible)
-
-    def shown_for(self, slot: int) -> int:
-        """Return the slot that is shown while `slot` is due."""
-        if not (self._playing and self.only_generated) or slot % (self.n + 1):
-            return slot
-        return slot - 1 if slot > self.first else slot + 1
 
     def rest(self, now: float) -> float:
         """Return the seconds until the next slot is due, where nothing is waited for until then; 0 if it does not

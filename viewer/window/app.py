@@ -59,7 +59,7 @@ class App:
         self.captures: list[Callable[[np.ndarray], object]] = []
         self.closing = False
         self.docks = Docks(self)
-        self.palette, self.help = Palette(self.actions, model.parameters), Help(self.actions)
+        self.palette, self.help = Palette(self.actions), Help(self.actions)
         self.open_path = OpenPath()
         self.stack = Stack(model.dismiss_messages, self.palette, self.help, self.open_path)
         self._dropped: list[str] = []
@@ -72,7 +72,6 @@ class App:
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self.row_canvas: Canvas | None = None  # of the panel that shows a row over time
-        self.lists_equal = False  # layers that do not differ, among those that do
         self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self.director: Any = None  # of a script: it lets time pass, and saves pictures of the window
         self._current_at = -math.inf  # clock, when the picture was the requested one

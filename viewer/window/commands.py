@@ -14,7 +14,7 @@ from gffe_cl.engine.options import Option
 from ..engine.figures import QUANTITIES
 from ..state.actions import Action, Actions, found_layer, numbers, slot_of
 from ..state.captions import Message
-from ..state.comparing import FORMULAS, WAYS
+from ..state.comparing import FORMULAS, NEIGHBORS, WAYS
 from ..state.model import Model
 from ..state.navigation import Flight
 from ..state.parameters import ALL, parsed
@@ -23,7 +23,6 @@ from ..state.saving import LayersWork, PictureWork
 from .app import App
 
 _EXPOSURE_STEP = 0.5
-_KEYS = {"split": "W", "difference": "D", "error": "M"}  # of ways of comparing
 LAYERS, _SCRIPT = "Layer", "Script"  # groups of actions that are in no menu
 _LAST = ("Tools", "Panels", "Help")  # menus after those of modules and parameters
 
@@ -45,7 +44,7 @@ on_disk = needs(lambda model: model.source.target, "only of a sequence on disk o
 savable = needs(lambda model: model.saving.work is None, "something is being saved")
 computing = needs(lambda model: model.stopped or model.showing.is_waiting, "nothing is being computed")
 shows_error = needs(
-    lambda model: model.view.compare in ("difference", "error", "flip error"),
+    lambda model: model.view.compare in ("difference", "flip error"),
     "show a difference or an error first (D, M)",
 )
 has_left = needs(lambda model: model.walk.can_go_back, "no link was followed")
@@ -57,10 +56,6 @@ def second(app: App) -> str | None:
     if kept is None:
         return opened(app) or "no settings are kept as B"
     return opened(app) or ("B is pictures, not settings" if kept.place else None)
-
-
-def comparable(way: str, app: App) -> str | None:
-    return opened(app) or app.model.comparison.why_not(way)
 
 
 def has_truth(app: App) -> str | None:
@@ -121,10 +116,6 @@ ACTIONS = (
     Action("last", "Last frame", "Playback", "End", lambda app: app.model.playback.end(), opened),
     Action("stop", "Stop computing", "Playback", "Ctrl+.", lambda app: app.model.stop_computing(), computing,
            tooltip="Cancel the current picture. Press again to resume"),
-    Action("only_generated", "Only generated frames", "Playback", "Shift+G",
-           lambda app: _toggle(app.model.playback, "only_generated"), opened,
-           lambda app: app.model.playback.only_generated,
-           tooltip="While it plays, the generated frame before stands in for each rendered one"),
     Action("set_in", "Set in point", "Playback", "[", lambda app: app.model.playback.set_in(), opened),
     Action("set_out", "Set out point", "Playback", "]", lambda app: app.model.playback.set_out(), opened),
     Action("clear_points", "Clear in and out points", "Playback", "\\",
@@ -148,6 +139,15 @@ ACTIONS = (
     Action("keep", "Keep settings as B", "Compare", "K", lambda app: app.model.sides.keep(), opened,
            tooltip="Keep modules, parameters, kernels, network and window as B; further changes affect A"),
     Action("swap", "Take B's settings for A", "Compare", "Shift+K", lambda app: app.model.sides.take_second(), second),
+    *(
+        Action(f"b_{which.replace(' ', '_')}", f"B: {which}", "Compare", key,
+               lambda app, which=which: app.model.comparison.with_neighbor(which), opened,
+               lambda app, which=which: app.model.comparison.neighbor == which, "A's layer in that frame")
+        for which, key in zip(NEIGHBORS, ("P", "Shift+P", "Alt+P"), strict=True)
+    ),
+    Action("follow", "B along motion vectors", "Compare", "V", lambda app: _toggle(app.model.comparison, "follows"),
+           needs(lambda model: model.comparison.neighbor, "only where B is a frame before or after"),
+           lambda app: app.model.comparison.follows),
     Action("b_from", "B from a folder …", "Compare", "Ctrl+K", _take_b, opened,
            tooltip="Another sequence, an output or stage dump of gffe run, or a folder of kernels"),
     Action("copy_command", "Copy A's command line", "Compare", "Alt+K", _copy_command, opened,
@@ -158,14 +158,14 @@ ACTIONS = (
            release=lambda app: app.model.comparison.flip(False)),
     *(
         Action(f"compare_{way}", WAYS[way].capitalize(), "Compare", key,
-               lambda app, way=way: app.model.comparison.toggle(way), partial(comparable, way),
+               lambda app, way=way: app.model.comparison.toggle(way), opened,
                lambda app, way=way: app.model.view.compare == way)
-        for way, key in _KEYS.items()
+        for way, key in (("split", "W"), ("difference", "D"))
     ),
     *(
-        Action(f"difference_{how}", f"Difference as {text}", "Compare", "",
-               lambda app, how=how: app.model.comparison.subtract(how), partial(comparable, "difference"),
-               lambda app, how=how: app.model.view.difference == how)
+        Action(f"difference_{how}", f"Difference as {text}", "Compare", "M" if how == "mean" else "",
+               lambda app, how=how: app.model.comparison.subtract(how), opened,
+               lambda app, how=how: (app.model.view.compare, app.model.view.difference) == ("difference", how))
         for how, text in FORMULAS.items()
     ),
     Action("truth", "Show ground truth", "Compare", "T", lambda app: app.model.comparison.toggle_truth(), has_truth),
@@ -179,6 +179,12 @@ ACTIONS = (
     Action("most_different", "Largest A–B difference", "Find", "Ctrl+J",
            lambda app: app.find(app.model.survey.most_different), partial(findable, True),
            tooltip="Frame where the plotted figure of A's and B's settings differs most; again: the next one"),
+    *(
+        Action(f"{which}_fault", f"{which.capitalize()} marked frame", "Find", key,
+               lambda app, step=step: app.model.go_to_fault(step), opened,
+               tooltip="Invalid pixels, repeated frames, uneven times, resets and cuts, and what the doctor marks")
+        for which, key, step in (("next", "I", 1), ("previous", "Shift+I", -1))
+    ),
     Action("worst_pixel", "Worst pixel", "Find", "Alt+W", lambda app: app.model.go_to_largest(), shows_error,
            tooltip="Pixel with the largest difference or error that is shown"),
     *(
@@ -247,6 +253,11 @@ def _pick(app: App, text: str) -> None:
     app.model.pointing.pick((int(x), int(y)))
 
 
+def _mark(app: App, text: str) -> None:
+    x, y, width, height = numbers(text, 4)
+    app.model.pointing.mark((x, y), (x + width - 1, y + height - 1))
+
+
 def _set(app: App, text: str) -> None:
     name, _, value = text.partition(" ")
     option, value, parameters = ALL.get(name), value.strip(), app.model.parameters
@@ -295,6 +306,7 @@ SCRIPT = (
     Action("compare", "Compare A with B", _SCRIPT, "", _compare, opened, takes=", ".join(WAYS)),
     Action("split", "Move the line of the wipe", _SCRIPT, "", _split, takes="SHARE of the width, 0 to 1"),
     Action("pixel", "Tell the story of a pixel", _SCRIPT, "", _pick, opened, takes="X,Y; none: no more"),
+    Action("rectangle", "Tell the statistics of a rectangle", _SCRIPT, "", _mark, opened, takes="X,Y,WIDTH,HEIGHT"),
     Action("set", "Set a parameter or module", _SCRIPT, "", _set,
            takes="OPTION VALUE, which is on, off, a number or a choice"),
     Action("panel", "Bring a panel to the front", _SCRIPT, "", _show_panel, takes="NAME"),
@@ -336,7 +348,7 @@ def _of_panel(name: str) -> Action:
 
 
 def _of_option(name: str, option: Option) -> list[Action]:
-    """Return a switch for a module, an action for every choice, and for a number one that asks for it."""
+    """Return a switch for a module, and an action for every choice."""
 
     def why_not(app: App) -> str | None:
         return app.model.parameters.why_not(name)
@@ -361,11 +373,6 @@ def _of_option(name: str, option: Option) -> list[Action]:
                 lambda app, choice=choice: app.model.parameters.value(name) == choice,
                 f"{text[:1].upper()}{text[1:]}.",
             )
-        )
-    if option.kind in (int, float):
-        ask = lambda app: app.palette.ask(name)  # noqa: E731
-        made.append(
-            Action(f"{name} number", f"{option.label} …", "Parameters", "", ask, why_not, tooltip=option.sentence)
         )
     return made
 

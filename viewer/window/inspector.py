@@ -12,6 +12,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
 from gffe_cl.engine.inspection.layers import LayerSpec
+from ..picture.shown_numbers import STATISTICS
 from ..state.captions import value_text
 from ..state.model import Model
 from . import widgets
@@ -42,12 +43,13 @@ def draw(app: App) -> None:
         imgui.begin_disabled(model.pointing.story_is_due or not model.current)
         _story(model, model.pointing.story)
         imgui.end_disabled()
+    _statistics(model)
     _buffers(model)
     pinned = model.pointing.picked is not None
     imgui.separator_text("Values of the picked pixel" if pinned else "Values")
     inspection, stale = model.values
     if inspection is None:
-        widgets.hint("Move over the picture; click a pixel for its story")
+        widgets.hint("Move over the picture; click a pixel for its story; Shift and drag: statistics of a rectangle")
         return
     if stale:
         imgui.text_disabled("computing … these values are of another frame or setting")
@@ -67,6 +69,33 @@ def _inspection(app: App, inspection: Inspection) -> None:
         told = f"invalid in the input, {FROM} where it comes" if inspection.origin else "invalid in the input"
         widgets.colored(widgets.red(), f"{told}: {inspection.fault}")
     _values(app, inspection)
+
+
+def _statistics(model: Model) -> None:
+    """Draw least, most, mean and median of the shown layers in the marked rectangle."""
+    rectangle = model.pointing.rectangle
+    if rectangle is None:
+        return
+    x0, y0, x1, y1 = rectangle
+    imgui.separator_text(f"Rectangle ({x0}, {y0}), {x1 - x0}×{y1 - y0} pixels")
+    rows, spec = model.statistics(), model.contents.spec(model.view.a)
+    if spec is not None:
+        widgets.hint(f"{spec.label}: values as stored, without NaN and infinity")
+    with widgets.compact():
+        if imgui.begin_table("###statistics", 1 + len(STATISTICS), imgui.TableFlags_.row_bg.value):
+            for text in ("", *STATISTICS):
+                imgui.table_next_column()
+                imgui.text_disabled(text)
+            for name, values, share in rows:
+                imgui.table_next_column()
+                imgui.text(name)
+                widgets.tooltip(f"{share:.1%} of the values are finite" if share < 1 else "")
+                for value in values or [float("nan")] * len(STATISTICS):
+                    imgui.table_next_column()
+                    imgui.text("–" if value != value else f"{value:.{2 if abs(value) < 0.01 else 4}g}")
+            imgui.end_table()
+    if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_rectangle"):
+        model.pointing.rectangle = None
 
 
 def _buffers(model: Model) -> None:

@@ -18,12 +18,6 @@ from . import widgets
 from .app import App
 from .plot import scale_of
 
-_OVERLAY_HELP = {
-    "edges": "Edges of depth are red, of motion green, of color blue: white where all three meet",
-    "residual motion": "Motion minus the camera's; its hue is its direction",
-    "clipping": "Colors below 0 are blue, above display white red, with the exposure of the display",
-}
-
 
 def draw(app: App) -> None:
     model = app.model
@@ -33,9 +27,12 @@ def draw(app: App) -> None:
         lambda on: setattr(model.choices, "overview", on),
         "Every layer as a tile; click one to open it",
     )
-    widgets.choice("overlay", model.view.overlay, list(OVERLAYS), lambda name: setattr(model.view, "overlay", name))
-    if model.view.overlay in _OVERLAY_HELP:
-        widgets.hint(_OVERLAY_HELP[model.view.overlay])
+    widgets.toggle(
+        "clipping",
+        model.view.overlay == "clipping",
+        lambda on: setattr(model.view, "overlay", OVERLAYS[on]),
+        "Colors below 0 are blue, above display white red, with the exposure of the display",
+    )
     height = max(imgui.get_content_region_avail().y - app.display_height, hello_imgui.em_size(6))
     if imgui.begin_child("###layers", ImVec2(0, height), imgui.ChildFlags_.borders.value):
         imgui.push_style_var(imgui.StyleVar_.indent_spacing, hello_imgui.em_size(0.7))

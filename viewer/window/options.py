@@ -11,8 +11,8 @@ from imgui_bundle import imgui
 
 from gffe_cl.engine.options import PRESETS, Option
 from gffe_cl.lab.metrics import METRICS
-from ..picture.view import DIFFERENCES, ERRORS
-from ..state.comparing import FLIP_HIGH, WAYS
+from ..picture.view import DIFFERENCES
+from ..state.comparing import FLIP_HIGH, NEIGHBORS, WAYS
 from ..state.model import Model
 from ..state.parameters import by_hand
 from ..state.presets import Kept
@@ -117,8 +117,9 @@ def draw_compare(app: App) -> None:
     if view.compare == "difference":
         widgets.choice("difference", view.difference, list(DIFFERENCES), lambda name: setattr(view, "difference", name))
         widgets.slider("gain", view.gain, 1.0, 32.0, 4.0, lambda v: setattr(view, "gain", v), "%.1f×")
-    if view.compare in ("error", "flip error"):
-        _error_map(model)
+    if view.compare == "flip error":
+        brightest = partial(setattr, model.comparison, "flip_high")
+        widgets.slider("brightest", model.comparison.flip_high, 0.01, 1.0, FLIP_HIGH, brightest, "%.2f")
     _settings(app)
     _quality(model)
 
@@ -127,15 +128,21 @@ def _second(model: Model, layers: dict[str, str]) -> None:
     """Draw the choice of B: another layer, or A's layer as kept settings make it."""
     comparison, b = model.comparison, model.kept.b
     settings = {kept: f"settings: {kept.name}" for kept in model.kept.all}
-    chosen = b if comparison.by_settings else model.view.b or ""
+    neighbors = {which: f"A's layer, {which}" for which in NEIGHBORS}
+    chosen = b if comparison.by_settings else comparison.neighbor or model.view.b or ""
 
     def choose(one: Kept | str) -> None:
         if isinstance(one, Kept):
             comparison.with_settings(one.name)
         else:
-            comparison.with_layer(one)
+            (comparison.with_neighbor if one in NEIGHBORS else comparison.with_layer)(one)
 
-    widgets.choice("B", chosen, settings | layers, choose)
+    widgets.choice("B", chosen, settings | neighbors | layers, choose)
+    if comparison.neighbor:
+        follow = partial(setattr, comparison, "follows")
+        widgets.toggle(
+            "along motion vectors", comparison.follows, follow, "B where vectors lead, not at the same place"
+        )
 
 
 def _settings(app: App) -> None:
@@ -174,16 +181,6 @@ def _beside(b: dict[str, float], a: dict[str, float]) -> str:
         f"{metric.sentence(b[name])} ({metric.text(b[name] - a[name], signed=True)})"
         for name, metric in METRICS.items()
         if name in b and name in a
-    )
-
-
-def _error_map(model: Model) -> None:
-    view = model.view
-    if view.compare == "error":
-        widgets.choice("error", view.error, list(ERRORS), lambda name: setattr(view, "error", name))
-    comparison, usual = model.comparison, 0.1 if view.compare == "error" else FLIP_HIGH
-    widgets.slider(
-        "brightest", comparison.brightest, 0.01, 1.0, usual, lambda v: setattr(comparison, "brightest", v), "%.2f"
     )
 
 

@@ -10,7 +10,7 @@ from imgui_bundle import ImVec2, hello_imgui, imgui
 from gffe_cl.engine.inspection import names
 from ..picture.shown_numbers import Numbers, numbers_of, texels
 from ..picture.view import View
-from ..state.captions import layer_text
+from ..state.captions import layer_text, slot_text
 from ..state.model import Model
 from ..state.presets import told
 from . import widgets
@@ -68,6 +68,10 @@ def draw(app: App) -> None:
     _numbers(model, view, place, marks)
     _way(model, place, marks)
     _trajectory(model, place, marks)
+    if model.pointing.rectangle is not None:
+        x0, y0, x1, y1 = model.pointing.rectangle
+        ink = imgui.get_color_u32(widgets.ACCENT)
+        marks.add_rect(place.to_screen(x0, y0), place.to_screen(x1, y1), ink, 0, 1.5 * widgets.mark_unit())
     marks.pop_clip_rect()
     _caption(model, origin, width, height, marks)
     _bars(model, origin, width, height, marks)
@@ -119,12 +123,15 @@ def _mouse(app: App, place) -> None:
     if imgui.is_item_activated():
         left = imgui.is_mouse_down(imgui.MouseButton_.left)
         app.pressed_at = at
-        app.drags = "picture" if not left else "line" if on_line else "nothing yet"
+        marks = "rectangle" if io.key_shift else "nothing yet"
+        app.drags = "picture" if not left else "line" if on_line else marks
     if imgui.is_item_active():
         if app.drags == "nothing yet" and _distance(at, app.pressed_at) >= _DRAG:
             app.drags = "picture"
         if app.drags == "line":
             view.split = min(max((at.x - place.origin.x) / place.size[0], 0.0), 1.0)
+        elif app.drags == "rectangle":
+            model.pointing.mark(place.to_display(app.pressed_at), place.to_display(at))
         elif app.drags == "picture":
             delta = io.mouse_delta
             view.center = (view.center[0] - delta.x / view.zoom, view.center[1] - delta.y / view.zoom)
@@ -326,11 +333,13 @@ def _layer_text(model: Model, name: str) -> str:
     if spec is None:
         return f"{names.plain(name)}: {model.contents.why_absent(name)}"
     text = layer_text(spec, model.looks.of(name))
-    if names.is_second(name) and model.kept.b is not None:
-        text = f"{model.kept.b.name}   {text}"
-        if model.showing.fault_of_b:
-            return f"{model.kept.b.name}: {model.showing.fault_of_b}"
     result = model.contents.second if names.is_second(name) else model.contents.result
+    if names.is_second(name):
+        neighbor, kept = model.comparison.neighbor, model.kept.b
+        whose = slot_text(result.slot, model.n) if neighbor and result else neighbor or (kept.name if kept else "")
+        if model.showing.fault_of_b:
+            return f"{whose}: {model.showing.fault_of_b}"
+        text = f"{whose}   {text}"
     if result and names.plain(name) in result.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
     return text

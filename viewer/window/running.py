@@ -64,7 +64,7 @@ class _Window:
         self._app, self._params = app, hello_imgui.RunnerParams()
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
         self._may_idle = True  # where nothing happens, frames are drawn seldom
-        self._told: tuple[int, int] | None = None  # the inspector's pixel
+        self._told: tuple = (None, None)  # the inspector's pixel and rectangle
         self._layers_known: list = []  # those that have actions
 
     def run(self, size: tuple[int, int] | None, test: Callable[[App], None] | None) -> None:
@@ -141,7 +141,9 @@ class _Window:
             commands.register_layers(app)
         by_hand = None if app.stack.covers else flight(model)
         model.flights.steer(app.steering if app.steering and model.flying else by_hand, app.clock())
-        if (told := model.pointing.picked) not in (None, self._told) and app.docks.panel("Inspector").is_visible:
+        told = model.pointing.picked, model.pointing.rectangle
+        is_new = any(one and one != before for one, before in zip(told, self._told, strict=True))
+        if is_new and app.docks.panel("Inspector").is_visible:
             app.docks.show("Inspector")
         self._told = told
         self._params.fps_idling.enable_idling = self._may_idle and not model.at_work

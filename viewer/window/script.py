@@ -196,7 +196,8 @@ class Director:
 def _works_beside(model: Model) -> bool:
     """Return whether frames are being measured, the doctor examines the sequence, or something is being saved."""
     examines = model.document.doctor is not None and not model.document.doctor.done
-    return model.survey.busy or model.studies.busy or model.saving.work is not None or examines
+    scans = model.document.scan is not None and model.document.scan.busy
+    return scans or model.survey.busy or model.studies.busy or model.saving.work is not None or examines
 
 
 def require_file(path: Path, what: str, endings: tuple[str, ...]) -> None:

@@ -6,6 +6,7 @@ from imgui_bundle import ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.opencl.program import first_error
+from ..picture.shown_numbers import sides_of, values_in
 from ..state.captions import value_text
 from ..state.comparing import BUILD_LETTERS
 from ..state.model import Model
@@ -67,8 +68,8 @@ def _beside(something: bool) -> None:
 
 
 def parts(model: Model) -> list[str]:
-    """Return the texts of the status bar: the device, the open sequence, its time, and the value under
-    the pointer."""
+    """Return the texts of the status bar: the values under the pointer, the device, the open sequence, its time, and
+    warnings."""
     told = [model.engine.device_name or "opening the device …"]
     if model.source is not None:
         info = model.source
@@ -78,7 +79,7 @@ def parts(model: Model) -> list[str]:
     if model.contents.result is not None:
         kept = "from the cache, " if model.showing.from_cache else ""
         told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms{_build(model)}")
-    return [*told, *model.document.warnings, *_under_pointer(model)]
+    return [*_under_pointer(model), *told, *model.document.warnings]
 
 
 def _build(model: Model) -> str:
@@ -88,13 +89,23 @@ def _build(model: Model) -> str:
 
 
 def _under_pointer(model: Model) -> list[str]:
-    """Return the value of the displayed layer under the pointer, in words; an empty list without one."""
-    inspection, spec = model.pointing.inspection, model.contents.spec(model.view.a)
+    """Return the value of the displayed layer under the pointer in words, where layers are compared A, B and A − B; an
+    empty list without one."""
+    pixel, inspection, spec = model.pointing.pixel, model.pointing.inspection, model.contents.spec(model.view.a)
+    view = model.comparison.shown()
+    if view.compare != "off" and pixel is not None and model.current:
+        sides = sides_of(view, model.contents)
+        specs = {letter: side.spec for letter, side in sides}
+        values = values_in(sides, (*pixel, pixel[0] + 1, pixel[1] + 1)).items()
+        texts = [
+            f"{name}  {value_text(specs[name], of[0]) if name in specs else '  '.join(f'{v:+.4g}' for v in of[0])}"
+            for name, of in values
+        ]
+        return [f"({pixel[0]}, {pixel[1]})", *texts]
     if inspection is None or not model.pointing.shows_values or spec is None or spec.name not in inspection.values:
         return []
     x, y = inspection.pixel
-    side = "A  " if model.view.compare != "off" else ""
-    told = f"({x}, {y})   {side}{value_text(spec, inspection.values[spec.name])}"
+    told = f"({x}, {y})   {value_text(spec, inspection.values[spec.name])}"
     if inspection.source is not None and spec.name in inspection.origin:
         right, down = inspection.source
         told += f"   from ({right:.1f}, {down:.1f})   {value_text(spec, inspection.origin[spec.name])}"

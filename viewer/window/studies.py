@@ -24,21 +24,27 @@ def draw_differing(app: App) -> None:
     model, study = app.model, app.model.studies.differing
     if widgets.studied(model, study) is None:
         return
-    first, shown = study.first, [one for one in study.all if one.differs or not one.common or app.lists_equal]
+    first, shown = study.first, [one for one in study.all if one.differs]
     imgui.begin_disabled(first is None)
     if imgui.button("go to the first###first_differing") and first is not None:
         show_difference(model, first)
         model.pointing.pick(first.worst)
     imgui.end_disabled()
     widgets.tooltip("Show the difference of the first layer that differs, and pick the pixel where it is largest")
-    imgui.same_line()
-    widgets.toggle("_show equal layers", app.lists_equal, lambda on: setattr(app, "lists_equal", on))
     done = f"{len(study.found)} of {study.parts} stages …   " if study.busy else ""
     widgets.hint(done + study.text)
     with widgets.compact():
         for group, listed in groupby(shown, key=lambda one: one.spec.group):
             imgui.text_disabled(group)
             _differing_table(model, group, list(listed))
+        folded: dict[str, list[Difference]] = {}
+        for one in study.all:
+            if not one.differs:
+                folded.setdefault(one.remark or "equal", []).append(one)
+        for title, listed in folded.items():
+            if imgui.tree_node(f"{len(listed)} {title}###folded {title}"):
+                _differing_table(model, title, listed)
+                imgui.tree_pop()
 
 
 def _differing_table(model: Model, group: str, listed: list[Difference]) -> None:

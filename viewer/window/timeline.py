@@ -8,6 +8,7 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
+from ..state.document import INVALID, MISPLACED, REPEATED, START, UNEVEN
 from ..state.model import Model
 from . import widgets
 from .app import App
@@ -17,6 +18,8 @@ GENERATED = (0.96, 0.66, 0.28, 1.0)
 DOUBT = (0.98, 0.85, 0.25, 1.0)
 RESET = (0.93, 0.30, 0.30, 1.0)
 CACHED = (0.35, 0.80, 0.45, 1.0)
+FLAGS = {START: RESET, MISPLACED: DOUBT}  # over the height of the slots
+STRIP = {INVALID: (1.0, 0.0, 1.0, 1.0), REPEATED: (0.35, 0.85, 1.0, 1.0), UNEVEN: (0.95, 0.95, 0.95, 1.0)}  # above them
 _CACHED_HEIGHT = 3.0  # pixels at the usual size of letters
 _NARROW = 2.5  # screen pixels
 _LEAST_STATUS = 4.5  # em: with less room it has a row of its own
@@ -43,6 +46,7 @@ def _transport(app: App) -> None:
             ("play", icons.ICON_FA_PAUSE if playback.playing else icons.ICON_FA_PLAY),
             ("step", icons.ICON_FA_FORWARD_STEP),
             ("last", icons.ICON_FA_FORWARD_FAST),
+            ("next_fault", icons.ICON_FA_FLAG),
         ):
             row(width(2))
             widgets.action_button(app.actions, name, icon, 2)
@@ -103,8 +107,9 @@ def _bar(model: Model) -> None:
             corner = ImVec2(left + max(step - 1.0, 1.0), origin.y + height)
             draw.add_rect_filled(ImVec2(left, top), corner, colors[generated])
     _cached(model, draw, origin, step, height)
-    marked = [(frame, RESET) for frame in model.contents.resets] + [(frame, DOUBT) for frame in model.document.marks]
-    for frame, color in marked:
+    faults = model.document.faults
+    _strip(model, draw, origin, step, faults)
+    for frame, color in ((frame, color) for frame in faults for kind, color in FLAGS.items() if kind in faults[frame]):
         x, ink = round(origin.x + frame * (model.n + 1) * step), imgui.get_color_u32(color)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), ink, 2 * unit)
         flag = ImVec2(x + 7 * unit, origin.y + 3 * unit), ImVec2(x, origin.y + 6 * unit)
@@ -118,6 +123,17 @@ def _bar(model: Model) -> None:
     for slot in (first, last + 1):
         x = round(origin.x + slot * step)
         draw.add_line(ImVec2(x, origin.y), ImVec2(x, origin.y + height), green, 2 * unit)
+
+
+def _strip(model: Model, draw, origin, step: float, faults: dict[int, dict[str, str]]) -> None:
+    """Draw a mark above the slots of each rendered frame with a fault, as wide as they are."""
+    high, wide = 4 * widgets.mark_unit(), max((model.n + 1) * step - 1, 3 * widgets.mark_unit())
+    for frame, kinds in faults.items():
+        x, shown = origin.x + frame * (model.n + 1) * step, [color for kind, color in STRIP.items() if kind in kinds]
+        for number, color in enumerate(shown):
+            left, right = (x + wide * part / len(shown) for part in (number, number + 1))
+            ink = imgui.get_color_u32(color)
+            draw.add_rect_filled(ImVec2(left, origin.y - high), ImVec2(right, origin.y), ink)
 
 
 def _cached(model: Model, draw, origin, step: float, height: float) -> None:
@@ -146,5 +162,5 @@ def _scrub(model: Model, left: float, width: float, count: int) -> None:
     if imgui.is_item_hovered() and not imgui.is_item_active():
         slot = min(max(int((imgui.get_mouse_pos().x - left) / width * count), 0), count - 1)
         frame = slot // (model.n + 1)
-        reasons = filter(None, (model.contents.resets.get(frame), model.document.marks.get(frame)))
+        reasons = (f"{kind}: {text}" for kind, text in model.document.faults.get(frame, {}).items())
         imgui.set_tooltip("\n".join((f"frame {slot}: drag to scrub", *reasons)))

@@ -6,7 +6,7 @@ from typing import TypeGuard
 
 FINAL, GAE, TRUTH, FOCUS_TRUTH = "final", "gae", "truth", "focus_truth"
 RENDERED_COLOR, RENDERED_DEPTH, RENDERED_MOTION = "rendered.color", "rendered.depth", "rendered.motion"
-UNDONE = "rendered.undone"
+UNDONE, RESIDUAL = "rendered.undone", "rendered.residual"
 
 # of the extrapolated frame
 DEPTH, MOTION, DYNAMIC = "frame.depth", "frame.motion", "frame.dynamic"
