@@ -125,6 +125,13 @@ def test_anchors_into_the_code_are_there():
             text = text[start.start() :]
 
 
+def test_the_readme_is_short():
+    lines = TEXTS["README.md"].splitlines()
+    assert len(lines) <= 130 and max(map(len, lines)) <= 160
+    first = "\n".join(lines[:16])  # a screen: what it is, a film, three commands
+    assert "docs/pictures/demo.webp" in first and re.search(r"```\n(.+\n){3}```", first)
+
+
 def test_pictures_are_used():
     used = {Path(link).name for text in TEXTS.values() for link in re.findall(r"pictures/[\w.]+", text)}
     assert {picture.name for picture in (ROOT / "docs" / "pictures").iterdir()} == used

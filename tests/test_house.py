@@ -109,8 +109,8 @@ LEDGER = {
     "gffe_cl": 37_707,
     "viewer": 12_769,
     "kernels": 10_180,
-    "tests": 28_328,
-    "docs/tools": 4_147,
+    "tests": 28_335,
+    "docs/tools": 4_149,
     "docs/examples": 1_822,
     "docs/*.md": 4_402,
 }

@@ -5,6 +5,7 @@ python docs/tools/make_performance.py
 
 from __future__ import annotations
 
+import textwrap
 from collections.abc import Callable
 
 from pages import DOCS, REPOSITORY, recorded, table, with_all
@@ -32,11 +33,12 @@ def times_text() -> str:
     default, fast = (recorded(name)["devices"][0]["sizes"][0] for name in ("gpu", "gpu_performance"))
     gae, scn = (default["milliseconds"][part] for part in ("GAE", "SCN"))
     wall, preset = default["wall"], fast["milliseconds"]["GAE"]
-    return (
+    text = (
         f"**Time of a 1080p frame**: on an NVIDIA H100 {gae + scn:.2f} ms of kernels with the network"
         f" ({wall:.2f} ms by wall time), {gae:.2f} ms without it, and {preset:.2f} ms with `--preset performance`"
         f" ([by stage](docs/performance.md#gpus-measured)). `gffe bench --device gpu` measures yours."
     )
+    return textwrap.fill(text, 158, break_on_hyphens=False)
 
 
 TABLES: dict[str, Callable[[], str]] = {
