@@ -18,7 +18,8 @@ import numpy as np
 from corpus_scenes import GENERATORS, ROWS, draw_effect
 from pages import MEASURED, REPOSITORY
 
-from gffe_cl.captures.scenes import SceneRenderer, is_scene_name, load_scene
+from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneRenderer, is_scene_name, load_scene
+from gffe_cl.captures.scenes.renderer import FlatScene
 from gffe_cl.captures.scenes.scene_types import Scene, rotation
 from gffe_cl.captures.sequence.encoding import Encoding
 from gffe_cl.engine.core.files import replacing
@@ -35,7 +36,8 @@ SIZE = 240, ROWS
 ALPHAS = 0.5, 1.0
 CACHE = cache_folder() / "quality"
 _STALE = 14 * 86400  # seconds since the last use after which a cached file goes
-_SOURCES = "gffe_cl/captures/scenes", "kernels/scenes", "docs/tools/corpus_scenes.py"
+_SCENES = "gffe_cl/captures/scenes"
+_SOURCES = "kernels/scenes", f"{_SCENES}/scene_types.py", f"{_SCENES}/props.py"  # of all sequences
 
 
 @dataclass(frozen=True)
@@ -83,6 +85,7 @@ class Line:
         return [0.0, *(np.cumsum(steps) / self.fps).tolist()]
 
     def scene(self) -> Scene:
+        """Return the scene that it shows."""
         rng = np.random.default_rng([*self.generator.encode(), self.seed])
         known = is_scene_name(self.generator)
         return load_scene(self.generator, self.seed) if known else GENERATORS[self.generator](self.seed, rng)
@@ -101,8 +104,11 @@ class Line:
     def key(self, device: Device) -> str:
         """Return a hash of everything that the sequence depends on."""
         what = {**asdict(self), "name": "", "group": "", "use": "", "camera": "", "quick": ""}
-        made_by = [inspect.getsource(function) for function in (Line.times, Line.camera_at, _render)]
-        made_by.append(digest_of(REPOSITORY, _SOURCES))
+        functions = Line.times, Line.camera_at, _render, FlatScene, SceneRenderer, draw_effect
+        made_by = [inspect.getsource(function) for function in functions]
+        of = f"{_SCENES}/places/{self.generator}.py", f"{_SCENES}/situations.py", "docs/tools/corpus_scenes.py"
+        own = of[0 if self.generator in SCENES else 1 if self.generator in SITUATIONS else 2]
+        made_by.append(digest_of(REPOSITORY, (*_SOURCES, own)))
         known = f"{what} {SIZE} {ALPHAS} {device.info.name} {device.info.platform} {made_by}"
         return hashlib.sha256(known.encode()).hexdigest()[:24]
 

@@ -232,6 +232,9 @@ class Change:
         return f"{name} {signed(now - was)}"
 
 
+GAINS = Change.db.fget, Change.ssim.fget
+
+
 def signed(value: float, digits: int = 2) -> str:
     return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")
 
@@ -270,6 +273,22 @@ def extremes(changes: list[Change], sign: int) -> list[str]:
     chosen = {changes[k].line.name: changes[k] for _, k in of[::-1]}
     ranked = sorted(chosen.values(), key=lambda c: -sign * c.db)[:_EXTREMES]
     return [f"  {signed(c.db, 3)} dB  {c.line.name}, {c.variant}: {c.region()}" for c in ranked]
+
+
+def network_lines(lines: list[Line], cells: dict[str, dict]) -> str:
+    """Return what the network changes in single frames: how many it makes worse than without it, and the worst."""
+    found = ["network against none, by frame"]
+    for use in ("tuned", "proof"):
+        for k, (unit, limit) in enumerate((("dB", 0.01), ("SSIM", 0.0005))):
+            each = []
+            for line in (line for line in lines if line.use == use):
+                for with_it, without in (VARIANTS[:2], VARIANTS[2:]):
+                    pairs = zip(*(cells[line.name][variant]["frames"] for variant in (with_it, without)), strict=True)
+                    each += [(a[k] - b[k], line.name) for a, b in pairs]
+            below = sum(change < -limit for change, _ in each)
+            worst, name = min(each, default=(0.0, "none"))
+            found.append(f"  {use}: {below} of {len(each)} lose {limit:g} {unit}; worst {signed(worst, 4)}, {name}")
+    return "\n".join(found)
 
 
 def mean(values: list[float]) -> float:
@@ -333,7 +352,12 @@ def main() -> int:
             "after": sides[1].text,
             "of": [f"{s} {k}" for s in ("before", "after") for k in keys],
         }
-        write_record(given.write, shown | {"values": values})
+        gained = {
+            name: {v: [round(mean([get(c) for c in some if c.variant == v]), 4) for get in GAINS] for v in VARIANTS}
+            for name, some in groups.items()
+        }
+        write_record(given.write, shown | {"gains": gained, "values": values})
+    print(network_lines(lines, after))
     found = worse(changes, groups)
     print("\n".join(["", *(f"worse: {sentence}" for sentence in found)] if found else ["", "as good, or better"]))
     return int(bool(found))
