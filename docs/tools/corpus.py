@@ -8,9 +8,9 @@ from __future__ import annotations
 import hashlib
 import inspect
 import os
+import shutil
 import time as clock
 import tomllib
-from collections.abc import Iterator
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -190,9 +190,8 @@ def _flat(camera: Camera) -> np.ndarray:
     return np.array([*camera.world_to_view.ravel(), camera.fx, camera.fy, camera.cx, camera.cy])
 
 
-def prune() -> Iterator[Path]:
-    """Delete cached files that were not used for two weeks, and yield their paths."""
+def prune() -> None:
+    """Delete cached files and folders that were not used for two weeks."""
     for path in CACHE.glob("c*-*"):
         if clock.time() - path.stat().st_mtime > _STALE:
-            path.unlink()
-            yield path
+            shutil.rmtree(path) if path.is_dir() else path.unlink()

@@ -29,7 +29,9 @@ def recorded(name: str) -> dict[str, Any]:
 def write_record(name: str, document: Mapping[str, Any]) -> None:
     """Write `document` as NAME.json in docs/measured, with the commit and the command that made it."""
     command = " ".join(["python", *(f'"{word}"' if " " in word else word for word in sys.argv)])
-    known = {"commit": _git("describe", "--always", "--dirty", "--exclude=*").strip(), "command": command, **document}
+    commit = _git("rev-parse", "--short", "HEAD").strip()
+    commit += "-dirty" if _git("status", "--porcelain", "--", "kernels", "gffe_cl") else ""
+    known = {"commit": commit, "command": command, **document}
     text = json.dumps(known, indent=1, ensure_ascii=False)
     text = re.sub(r"\[[^][{}]*\]", lambda found: " ".join(found[0].split()), text)  # lists of numbers on one line
     (MEASURED / f"{name}.json").write_text(text + "\n", "utf-8")

@@ -32,13 +32,12 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
 from pathlib import Path
-from queue import SimpleQueue
-from typing import NoReturn
 
 import numpy as np
 from corpus import ALPHAS, CACHE, Line, corpus_lines, digest_of, prune, rendered
 from pages import REPOSITORY, table, write_record
 
+from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import replacing
 from gffe_cl.engine.opencl.device import open_device
 from gffe_cl.lab.metrics import LUMA, METRICS, REGIONS, RegionErrors, decibels, masks, to_display
@@ -62,7 +61,7 @@ class Side:
 
     @classmethod
     def parse(cls, text: str) -> Side:
-        """Return the side of words as in the module's docstring. Exits for words that are none of these."""
+        """Return the side of words as in the module's docstring. Raises GffeError for words that are none of these."""
         source, kernels, options = REPOSITORY, None, {}
         text = text.strip() or "."
         for word in text.split():
@@ -89,21 +88,20 @@ class Side:
 
 
 def _export(commit: str) -> tuple[str, Path]:
-    """Return the short hash of a commit, and a folder with its sources. Exits if there is none."""
+    """Return the short hash of a commit, and a folder with its sources. Raises GffeError if there is none."""
 
     def git(*words: str) -> bytes:
         found = subprocess.run(["git", "-C", REPOSITORY, *words], capture_output=True)
         if found.returncode:
-            fail(f"{commit}: expected a commit, '.', a folder of kernels, or NAME=VALUE")
+            raise GffeError(f"{commit}: expected a commit, '.', a folder of kernels, or NAME=VALUE")
         return found.stdout
 
     trees = b" ".join(git("rev-parse", "--verify", f"{commit}:{name}").strip() for name in ("gffe_cl", "kernels"))
     folder = CACHE / f"commit-{hashlib.sha256(trees).hexdigest()[:24]}"
     if not folder.exists():
-        with tempfile.TemporaryDirectory(dir=CACHE) as part:
-            subprocess.run(["tar", "-x", "-C", part], input=git("archive", commit, "gffe_cl", "kernels"), check=True)
-            Path(part).rename(folder)
-            Path(part).mkdir()
+        part = Path(tempfile.mkdtemp(prefix="commit-", dir=CACHE))
+        subprocess.run(["tar", "-x", "-C", part], input=git("archive", commit, "gffe_cl", "kernels"), check=True)
+        part.rename(folder)
     return git("rev-parse", "--short", commit).decode().strip(), folder
 
 
@@ -115,21 +113,21 @@ def cells_of(side: Side, lines: list[Line], files: dict[str, Path], progress: Ca
     Processes of the side make the frames, threads here measure them."""
     key = side.key
     paths = {line.name: CACHE / f"cell-{key}-{files[line.name].stem}-{line.camera}.json" for line in lines}
-    missing = SimpleQueue()
-    count = sum(missing.put(line) or True for line in lines if not paths[line.name].exists())
-    done = []
+    missing = [line for line in lines if not paths[line.name].exists()]
+    waiting, done = iter(missing), []  # threads share the iterator
 
     def work() -> None:
         with tempfile.TemporaryDirectory() as folder, _Process(side, Path(folder)) as process:
-            while not missing.empty() and not stopped.is_set():
-                line = missing.get()
+            for line in waiting:
+                if stopped.is_set():
+                    break
                 cell = measured(files[line.name], process.make(files[line.name], line.camera == "known"))
                 with replacing(paths[line.name]) as part:
                     part.write_text(json.dumps(cell), "utf-8")
                 done.append(line)
-                progress(f"{side.text}: {len(done)} of {count} sequences")
+                progress(f"{side.text}: {len(done)} of {len(missing)} sequences")
 
-    stopped, workers = threading.Event(), min(count, os.cpu_count() or 1)
+    stopped, workers = threading.Event(), min(len(missing), os.cpu_count() or 1)
     with ThreadPoolExecutor(max(workers, 1)) as pool:
         try:
             for result in [pool.submit(work) for _ in range(workers)]:
@@ -168,7 +166,7 @@ class _Process:
         if self._process.stdout.readline().strip() != word:
             self._said.seek(0)
             last = self._said.read().decode(errors="replace").strip().splitlines()[-1:]
-            fail(f"{self._side.text}: {''.join(last) or 'its process has ended'}")
+            raise GffeError(f"{self._side.text}: {''.join(last) or 'its process has ended'}")
 
 
 def measured(path: Path, made: np.ndarray) -> dict[str, dict]:
@@ -232,9 +230,6 @@ class Change:
         return f"{name} {signed(now - was)}"
 
 
-GAINS = Change.db.fget, Change.ssim.fget
-
-
 def signed(value: float, digits: int = 2) -> str:
     return f"{round(value, digits) + 0.0:+.{digits}f}".replace("-", "−")
 
@@ -291,6 +286,10 @@ def network_lines(lines: list[Line], cells: dict[str, dict]) -> str:
     return "\n".join(found)
 
 
+def rounded_mean(changes: list[Change], variant: str, key: str) -> float:
+    return round(mean([getattr(change, key) for change in changes if change.variant == variant]), 4)
+
+
 def mean(values: list[float]) -> float:
     return float(np.mean(values)) if values else float("nan")
 
@@ -309,12 +308,12 @@ def worse(changes: list[Change], groups: dict[str, list[Change]]) -> list[str]:
 
 
 def chosen_lines(groups: list[str] | None, quick: bool) -> list[Line]:
-    """Return the lines of these groups (None: all). Exits for a group that is none."""
+    """Return the lines of these groups (None: all). Raises GffeError for a group that is none."""
     lines = corpus_lines()
     known = dict.fromkeys(line.group for line in lines)
     for name in groups or ():
         if name not in known:
-            fail(f"--groups: {name} is none of {', '.join(known)}")
+            raise GffeError(f"--groups: {name} is none of {', '.join(known)}")
     return [line for line in lines if (not groups or line.group in groups) and (line.quick or not quick)]
 
 
@@ -327,7 +326,7 @@ def main() -> int:
     parser.add_argument("--write", metavar="SLUG", help="also store both sides' values in docs/measured")
     given = parser.parse_args()
     CACHE.mkdir(exist_ok=True)
-    list(prune())
+    prune()
     lines, device, files = chosen_lines(given.groups, given.quick), open_device(None), {}
     sides = Side.parse(given.before), Side.parse(given.after)
     for k, line in enumerate(lines):
@@ -353,7 +352,7 @@ def main() -> int:
             "of": [f"{s} {k}" for s in ("before", "after") for k in keys],
         }
         gained = {
-            name: {v: [round(mean([get(c) for c in some if c.variant == v]), 4) for get in GAINS] for v in VARIANTS}
+            name: {v: [rounded_mean(some, v, key) for key in ("db", "ssim")] for v in VARIANTS}
             for name, some in groups.items()
         }
         write_record(given.write, shown | {"gains": gained, "values": values})
@@ -363,11 +362,6 @@ def main() -> int:
     return int(bool(found))
 
 
-def fail(problem: str) -> NoReturn:
-    print(f"\nerror: {problem}", file=sys.stderr)
-    raise SystemExit(2)
-
-
 def show_progress(text: str) -> None:
     print(f"\r{text:70}" if text else f"\r{'':70}\r", end="", file=sys.stderr, flush=True)
 
@@ -375,5 +369,8 @@ def show_progress(text: str) -> None:
 if __name__ == "__main__":
     try:
         sys.exit(main())
+    except GffeError as error:
+        print(f"\nerror: {error}", file=sys.stderr)
+        sys.exit(2)
     except KeyboardInterrupt:
         sys.exit(130)
