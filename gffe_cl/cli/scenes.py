@@ -21,6 +21,7 @@ from gffe_cl.cli.common import (
     parse_size,
     plain,
     progress_bars,
+    say,
     steps,
     takes_options,
 )
@@ -135,16 +136,20 @@ def demo(
         raise GffeError(f"demo: --size must be 32 to 4096 pixels each way, got '{size}'")
     for name in ("contact_sheet.png", "side_by_side.mp4", "metrics.json") if output.is_dir() else ():
         require_output_file(output / name, "--output", overwrite, media=name != "metrics.json")
-    opened, measured = open_device(device, profiling=True), measurable()
+    opened = open_device(device, profiling=True)
     out.print(plain(f"Device: {opened.info.name} ({opened.info.platform})"))
 
-    heads = [f"after every {EVERY}th frame, against truth", *(metric.title for metric in measured)]
+    taken = []  # seconds to each picture and figure
     with progress_bars() as progress:
         for name, figures in run_demo(output, opened, width, height, seed, window, options, steps(progress)):
+            taken.append(time.monotonic() - start)
             if not figures:
-                out.print(plain(f"{output / name}: after {time.monotonic() - start:.0f} s"))
+                out.print(plain(f"{output / name}"), soft_wrap=True)
                 continue
+            measured = measurable()  # its packages load slowly: after the pictures
+            heads = [f"after every {EVERY}th frame, against truth", *(metric.title for metric in measured)]
             rows = [METHODS[name], *(metric.text(figures[metric.name]) for metric in measured)]
             for row in (heads, rows) if name == "repeat" else (rows,):
                 out.print(f"{row[0]:<38}" + "".join(f"{cell:>10}" for cell in row[1:]))
-    out.print(f"All results are in {plain(output)}: after {time.monotonic() - start:.0f} s")
+    out.print(f"All results are in {plain(output)}", soft_wrap=True)
+    say(f"first picture after {taken[0]:.0f} s, everything after {taken[-1]:.0f} s")
