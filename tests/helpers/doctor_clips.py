@@ -36,13 +36,13 @@ def frames_of(view_at, count=COUNT):
 @cache
 def clip(moves=True, turns=True):
     """Return frames that are exact in everything."""
+    return Kept(frames_of(lambda k: view_at(k, moves, turns)))
 
-    def view_at(k):
-        at = (0.09 * k + 0.01 * k * k, 0.03 * k, 0.06 * k) if moves else (0, 0, 0)
-        angles = dict(yaw=0.012 * k + 0.002 * k * k, pitch=-0.008 * k, roll=0.006 * k) if turns else {}
-        return camera(W, H, at, **angles)
 
-    return Kept(frames_of(view_at))
+def view_at(k, moves=True, turns=True):
+    at = (0.09 * k + 0.01 * k * k, 0.03 * k, 0.06 * k) if moves else (0, 0, 0)
+    angles = dict(yaw=0.012 * k + 0.002 * k * k, pitch=-0.008 * k, roll=0.006 * k) if turns else {}
+    return camera(W, H, at, **angles)
 
 
 def written(folder, kept):

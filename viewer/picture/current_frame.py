@@ -194,7 +194,7 @@ def _sampled(image: np.ndarray, px: np.ndarray, smooth: bool = False) -> np.ndar
     there, or `smooth`ly between four; NaN outside."""
     height, width = image.shape[:2]
     with np.errstate(invalid="ignore"):
-        inside = ((px >= 0) & (px <= (width, height))).all(-1)
+        inside = np.asarray(((px >= 0) & (px <= (width, height))).all(-1))
     x, y = np.moveaxis(np.where(inside[..., None], px, 0.0), -1, 0)
 
     def texel(right: np.ndarray, down: np.ndarray) -> np.ndarray:

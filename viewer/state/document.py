@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence.reader import uneven_intervals
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from ..engine.engine import Engine, open_viewer_device
@@ -25,7 +26,7 @@ from .playback import Playback
 if TYPE_CHECKING:
     from gffe_cl.captures.doctor import Finding
 
-_WRONG_PLACE = "does not follow the frame before it (doctor)"
+_WRONG_PLACE = "does not follow the frame before it"
 
 
 class Doctor:
@@ -59,10 +60,12 @@ class Doctor:
         """Rendered frames that something is said of, with what."""
         if not self.findings:
             return {}
-        from gffe_cl.captures.doctor.findings import UNKNOWN, AtFrame  # loaded by now
+        from gffe_cl.captures.doctor.findings import UNKNOWN, AtFrame, TruthOfAnotherTime  # loaded by now
 
-        alone = [one.frame for one in self.findings if isinstance(one, AtFrame) and one.kind != UNKNOWN]
-        return dict.fromkeys(alone, _WRONG_PLACE)
+        alone = [one for one in self.findings if isinstance(one, AtFrame) and one.kind != UNKNOWN]
+        truths = [one for one in self.findings if isinstance(one, TruthOfAnotherTime)]
+        marks = {k: one.words() for one in truths for k in one.frames}
+        return marks | {one.frame: _WRONG_PLACE for one in alone}
 
 
 def _examined(sequence: Sequence) -> Any:
@@ -73,7 +76,7 @@ def _examined(sequence: Sequence) -> Any:
 
 INVALID, REPEATED, UNEVEN, START, MISPLACED = "invalid", "repeated", "uneven time", "reset or cut", "doctor"
 _REST = 3  # copies of a frame in a row: of more the camera rests
-_EVEN, _MOST_UNEVEN = 0.02, 1 / 3  # of the usual interval; share of uneven ones, beyond which they are usual
+_MOST_UNEVEN = 1 / 3  # share of frames, beyond which uneven times are usual
 
 
 class Scan:
@@ -157,13 +160,10 @@ class Scan:
 
 
 def _uneven(entries: list[FrameEntry]) -> dict[int, str]:
-    """Return the rendered frames whose interval to the one before is not the usual one, with both in words; none where
-    many are not."""
-    steps = {k: here.time - entries[k - 1].time for k, here in enumerate(entries) if k and not here.reset}
-    usual = float(np.median(list(steps.values()))) if steps else 0.0
-    uneven = {k: step for k, step in steps.items() if abs(step - usual) > _EVEN * usual}
-    texts = {k: f"{1e3 * step:.1f} ms after the frame before, usually {1e3 * usual:.1f}" for k, step in uneven.items()}
-    return texts if len(texts) <= _MOST_UNEVEN * len(steps) else {}
+    """Return rendered frames that do not come at the usual interval, in words; none where that is usual."""
+    steps, usual = uneven_intervals(entries)
+    texts = {k: f"{1e3 * step:.1f} ms after the frame before, usually {1e3 * usual:.1f}" for k, step in steps.items()}
+    return texts if len(texts) <= _MOST_UNEVEN * len(entries) else {}
 
 
 class Document:

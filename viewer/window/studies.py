@@ -217,13 +217,13 @@ def draw_doctor(app: App) -> None:
         widgets.hint(f"{len(doctor.findings)} finding{'s' * (len(doctor.findings) > 1)}")
     _findings(model, doctor)
     if model.document.marks:
-        imgui.separator_text("Frames in the wrong place")
+        imgui.separator_text("Marked frames")
         with widgets.in_rows() as row:
             for frame, reason in model.document.marks.items():
                 row(imgui.calc_text_size(f"{frame}").x)
                 if imgui.text_link(f"{frame}###mark {frame}"):
                     model.playback.seek(frame * (model.n + 1))
-                widgets.tooltip(f"rendered frame {frame} {reason}")
+                widgets.tooltip(f"rendered frame {frame}: {reason}")
     if doctor.converts:
         imgui.separator()
         command = f"gffe check {model.source.target} --format-out FOUND.json"

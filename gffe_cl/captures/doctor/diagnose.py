@@ -31,7 +31,14 @@ from gffe_cl.captures.doctor.findings import (
     StillCamera,
 )
 from gffe_cl.captures.doctor.found_format import FoundFormat
-from gffe_cl.captures.doctor.order import breaks, color_of_another_frame, needless_resets, repeated_frames
+from gffe_cl.captures.doctor.order import (
+    breaks,
+    color_of_another_frame,
+    needless_resets,
+    repeated_frames,
+    truth_of_another_time,
+    uneven_times,
+)
 from gffe_cl.captures.doctor.readings import GIVEN, PREVIOUS, Clip, Look, Reading, take_looks
 from gffe_cl.captures.doctor.search import Outcome, Search, Verdict
 from gffe_cl.captures.sequence import FrameEntry
@@ -113,7 +120,7 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
     if found.faults:
         return found
     repeated = repeated_frames(looks)
-    found.findings += [*needless_resets(looks), *repeated]
+    found.findings += [*needless_resets(looks), *repeated, *uneven_times(clip)]
     twice = {k for one in repeated if isinstance(one, RepeatedFrames) for k in one.frames}
     deep = [k for k in deep if PREVIOUS in looks[k].neighbors and k not in twice]
     if not deep:
@@ -147,6 +154,8 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
             found.findings += color_of_another_frame(search, outcome.read)
         found.findings += breaks(clip, looks, outcome.reading, step, twice, exposure, _SAMPLES)
         found.findings += _unknown(search, outcome.reading)
+        if outcome.reading.motion == GIVEN.motion:
+            found.findings += truth_of_another_time(clip, looks)
     found.findings += [*color_rows(closely), *display_values(closely)]
     whole = [clip.read(entries[k]) for k in deep[:_LOOKED_AT]]
     found.findings += repeated_pixels(whole)

@@ -458,6 +458,37 @@ class RepeatedColors(Finding):
         return f"{has} the color of the frame before, to the bit, although vectors move"
 
 
+@dataclass(frozen=True)
+class UnevenTimes(Finding):
+    """Frames whose interval to the one before is not the `usual` one, seconds, but from `least` to `most`."""
+
+    name, kind = "uneven-times", NOTE
+    frames: tuple[int, ...]
+    usual: float
+    least: float
+    most: float
+
+    def words(self) -> str:
+        come = frames_in_words(self.frames, "comes", "come")
+        other = " to ".join(dict.fromkeys(f"{1e3 * one:.1f}" for one in (self.least, self.most)))
+        return f"times are not even: {come} {other} ms after the one before, others {1e3 * self.usual:.1f} ms"
+
+
+@dataclass(frozen=True)
+class TruthOfAnotherTime(Finding):
+    """Ground-truth `files` after rendered frames `frames` that fit better `by` intervals after their time."""
+
+    name, kind, about = "truth-of-another-time", NOTE, "color"
+    files: tuple[str, ...]
+    frames: tuple[int, ...]
+    by: float
+
+    def words(self) -> str:
+        named = ", ".join(self.files[:_MOST_NAMED]) + (" …" if len(self.files) > _MOST_NAMED else "")
+        where = "later" if self.by > 0 else "earlier"
+        return f"ground truth {named} fits a time {abs(self.by):g} intervals {where} better, along motion vectors"
+
+
 # ---- what cannot be told -------------------------------------------------------------------------------
 
 

@@ -2,7 +2,10 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from dataclasses import replace
+from functools import partial
+from typing import cast
 
 import numpy as np
 
@@ -16,6 +19,8 @@ from gffe_cl.captures.doctor.findings import (
     OtherFrame,
     RepeatedColors,
     RepeatedFrames,
+    TruthOfAnotherTime,
+    UnevenTimes,
 )
 from gffe_cl.captures.doctor.readings import (
     GIVEN,
@@ -26,10 +31,13 @@ from gffe_cl.captures.doctor.readings import (
     Reading,
     of_other_frames,
     relinked,
+    sampled,
     take_looks,
     turned,
 )
 from gffe_cl.captures.doctor.search import Bench, Search, Verdict
+from gffe_cl.captures.sequence import FrameEntry, Sequence
+from gffe_cl.captures.sequence.reader import read_ahead, uneven_intervals
 
 _MOVES = 0.3  # pixels: vectors by which nothing stays as it is
 _TEXTURED, _COLORS = 0.1, 16  # share of samples that show a texture, and distinct colors, at least
@@ -38,6 +46,8 @@ _AGREES, _FINEST = 0.1, 0.3  # of the motion's length, and pixels: residuals tha
 _SAME_SHOT = 0.7  # of the usual color scores
 _COPIES, _NOISE = 3, 0.02  # copies of a frame in a row, at most; of encoded colors
 _MOST = 12  # pairs that are looked at closely
+_TRUTHS, _FEWEST, _CLEARLY = 40, 100, 0.6  # files that are read; samples, at least; error of the one at its own time
+_OTHER_TIMES = np.array([by for by in np.arange(-2, 2.01, 0.5) if by])  # intervals between rendered frames
 _GAIN, _EACH, _GOOD = 0.06, 0.6, 1.2  # sums of color scores: gain by colors of another frame; frames; good ones
 
 
@@ -90,6 +100,46 @@ def needless_resets(looks: dict[int, Look]) -> list[Finding]:
         if moves and fits:
             found.append(k)
     return [NeedlessResets(tuple(found))] if len(found) > max(1, len(looks) / 4) else []
+
+
+def uneven_times(clip: Clip) -> list[Finding]:
+    """Return a note on rendered frames that do not come at the usual interval."""
+    steps, usual = uneven_intervals(clip.rendered)
+    return [UnevenTimes(tuple(steps), usual, min(steps.values()), max(steps.values()))] if steps else []
+
+
+def truth_of_another_time(clip: Clip, looks: dict[int, Look]) -> list[Finding]:
+    """Return notes on ground truth between two of `looks` that clearly fits another time better: there its colors are
+    those of the later frame along that frame's motion vectors, which are taken for steady."""
+    times = [entry.time for entry in clip.rendered]
+    pairs = [(bisect_right(times, truth.time), truth) for truth in getattr(clip, "ground_truth", ())]
+    known = [(k, truth) for k, truth in pairs if k in looks and PREVIOUS in looks[k].neighbors]
+    found: dict[float, TruthOfAnotherTime] = {}
+    for (k, truth), by in read_ahead(known[:: -(-len(known) // _TRUTHS) or 1], partial(_truth_is_off, clip, looks)):
+        if by:
+            one = found.get(by, TruthOfAnotherTime((), (), by))
+            found[by] = replace(one, files=(*one.files, truth.file), frames=(*one.frames, k - 1))
+    return [*found.values()]
+
+
+def _truth_is_off(clip: Clip, looks: dict[int, Look], pair: tuple[int, FrameEntry]) -> float:
+    """Return by how many intervals ground truth is of a later time; 0 where that is not clear."""
+    (k, truth), sequence = pair, cast(Sequence, clip)
+    look, before, image = looks[k], clip.rendered[k - 1], sequence.read_color(truth)
+    camera, motion = truth.display_camera, look.motion
+    if motion is None or image.shape[1::-1] != look.size or not camera or camera.intrinsics != look.camera.intrinsics:
+        return 0.0
+    moves = look.textured & look.solid & (np.linalg.norm(motion, axis=-1) > _MOVES)
+    alpha = (truth.time - before.time) / (clip.rendered[k].time - before.time)
+
+    def error(at: float) -> float:
+        there, inside = sampled(replace(look, image=image), (look.px + (1 - at) * motion)[moves])
+        off = np.abs(there - look.color[moves]).mean(-1)[inside]
+        return float(np.median(off)) if len(off) > _FEWEST else np.inf
+
+    others = alpha + _OTHER_TIMES
+    best = min(others, key=error)
+    return float(round(best - alpha, 2)) if error(best) < _CLEARLY * error(alpha) else 0.0
 
 
 def color_of_another_frame(search: Search, read: Verdict) -> list[Finding]:

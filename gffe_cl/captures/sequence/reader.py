@@ -54,6 +54,7 @@ from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.frame_format import FrameFormat, jitter_in_color, require_render_size
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, require_one_pose
 
+_EVEN = 0.02  # of the usual interval: by which an even one may differ
 _SLOW_INTERVAL = 5.0  # seconds between rendered frames that look like milliseconds
 
 
@@ -61,6 +62,14 @@ def require_clean(file: str, bad: BadPixels) -> None:
     """Raise GffeError if a frame holds bad pixels (strict mode)."""
     if bad:
         raise GffeError(f"{file}: {bad} (strict)")
+
+
+def uneven_intervals(frames: list[FrameEntry]) -> tuple[dict[int, float], float]:
+    """Return the intervals to the frame before, seconds, that are not the usual one, by the frame's number, and the
+    usual one; `frames` are the rendered ones, by time. Resets have none before them."""
+    steps = {k: here.time - frames[k - 1].time for k, here in enumerate(frames) if k and not here.reset}
+    usual = float(np.median(list(steps.values()))) if steps else 0.0
+    return {k: step for k, step in steps.items() if abs(step - usual) > _EVEN * usual}, usual
 
 
 def time_warnings(frames: list[FrameEntry], fps: float) -> list[str]:

@@ -5,14 +5,14 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from doctor_clips import H, W, clip, frames_of, written
+from doctor_clips import H, W, clip, frames_of, made_world, view_at, written
 from fault_injection import HARMLESS, Kept, broken
 from mistakes import MISTAKES, views_of_one_scene
 from synthetic import camera
 
 import gffe_cl as gffe_api
 from gffe_cl.captures.doctor import FoundFormat, examine, with_format
-from gffe_cl.captures.sequence import open_sequence
+from gffe_cl.captures.sequence import FrameEntry, open_sequence
 from gffe_cl.captures.sequence.engine_form import static_motion
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.frame.frame_format import FrameFormat
@@ -55,6 +55,39 @@ def test_bad_pixels_are_a_note_that_says_where():
     found = examine(Kept([*frames[:3], replace(frames[3], color=color), *frames[4:]]))
     (note,) = found.findings
     assert note.places == {"color": (3, 7, 5)} and "color in frame_000003.exr at 7, 5" in str(note)
+
+
+class WithTruth(Kept):
+    """The clip with ground truth half way between its frames, of which some show another time."""
+
+    def __init__(self, shown):
+        super().__init__(list(clip().images))
+        self._shown = [shown(k) for k in range(len(self.frames) - 1)]
+        self.ground_truth = [
+            FrameEntry(f"truth_{k}.exr", (k + 0.5) / 30, "ground_truth", display_camera=view_at(k + 0.5))
+            for k in range(len(self._shown))
+        ]
+
+    def read_color(self, entry):
+        at = self._shown[self.ground_truth.index(entry)] + 0.5
+        return made_world().frame(view_at(at), at / 30, W, H, None, reset=True, samples=2).color
+
+
+@pytest.mark.parametrize(("shown", "found"), [
+    (lambda k: k, {}),
+    (lambda k: {3: 5, 5: 3}.get(k, k), {2.0: (3,), -2.0: (5,)}),
+    (lambda k: min(k + 1, 7), {1.0: tuple(range(7))}),
+])  # fmt: skip
+def test_ground_truth_of_another_time_is_named(shown, found):
+    notes = [one for one in examine(WithTruth(shown)).findings if one.name == "truth-of-another-time"]
+    assert {one.by: one.frames for one in notes} == found and all("truth_3.exr" in str(one) for one in notes[:1])
+
+
+def test_uneven_times_are_a_note():
+    frames = [replace(frame, time=frame.time + 0.01 * (k >= 5)) for k, frame in enumerate(clip().images)]
+    (note,) = examine(Kept(frames)).findings
+    assert (note.name, note.kind, note.frames) == ("uneven-times", "note", (5,))
+    assert str(note) == "frames: times are not even: frame 5 comes 43.3 ms after the one before, others 33.3 ms"
 
 
 def test_a_camera_that_mirrors_the_picture_is_not_told_without_a_sky():
