@@ -339,6 +339,12 @@ class Options:
         flag="--ui-detection",
         spelled=True,
     )
+    expected_error: bool = _option(
+        False,
+        "expected error",
+        "Mask of the expected error of new frames: where to render anew.",
+        flag="--expected-error",
+    )
     shading_inputs: bool = _option(
         False,
         "inputs of shading correction",

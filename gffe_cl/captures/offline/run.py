@@ -244,6 +244,8 @@ def output_channels(
     color = extrapolated.numpy("color").astype(dtype, copy=False)
     channels = named_channels(color, extrapolated.numpy("depth"), motion)
     channels |= {channel: extrapolated.numpy(name) for channel, name in MASKS.items()}
+    if extrapolated.expected_error:
+        channels["mask.expected_error"] = extrapolated.numpy("expected_error")
     if render_camera != display_camera:
         height, width = motion.shape[:2]
         for axis, name in enumerate("xy"):

@@ -19,6 +19,7 @@ VIEW_VELOCITY, BEND = "acceleration.view_velocity", "acceleration.bend"
 LINKS = "connectivity.links"  # neighbors of one surface, a bit each
 TARGET_POSITION = "prediction.target_position"
 COVERAGE = "silhouettes.coverage"
+EXPECTED_ERROR = "shading.expected_error"
 FOCUS_MASK, FOLLOWED = "correction.focus_mask", "shading_flow.followed"
 
 

@@ -11,14 +11,14 @@ from weakref import finalize
 import numpy as np
 import pyopencl as cl
 
-from gffe_cl.engine.core.errors import Unique
+from gffe_cl.engine.core.errors import GffeError, Unique
 from gffe_cl.engine.core.validation import require_choice
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.opencl.device import Device, device_faults
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, RGBA, BufferSpec, Sizes
 
 _SPECS = {spec.name: spec for spec in EXTRAPOLATED}
-_LIKE = {"gae": "color"}  # buffers with the description of another one
+_LIKE = {"gae": "color", "expected_error": "dynamic"}  # buffers with the description of another one
 
 
 @dataclass(frozen=True)
@@ -88,6 +88,8 @@ class MadeFrame(Unique):
 
     def _spec(self, name: str) -> BufferSpec:
         names = [n for n in (*_SPECS, *_LIKE) if n in {field.name for field in fields(self)}]
+        if name == "expected_error" and name in names and getattr(self, name) is None:
+            raise GffeError("frame: expected_error was not made (expected Options(expected_error=True))")
         return _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
 
     def _shape(self, spec: BufferSpec) -> tuple[int, ...]:
@@ -104,9 +106,10 @@ class ExtrapolatedFrame(MadeFrame):
     """An extrapolated frame at t + α.
 
     `motion` is t + α → t, into the rendered image of t; `dynamic`, `disoccluded`, `filled_by` (uchar). `gae` is the
-    color before shading correction and overlays, the same buffer as `color` where these are off. `numpy(name)` copies
-    one of them to the host, `mapped(name)` reads it in place in a `with` block; `event` is complete when they hold the
-    frame.
+    color before shading correction and overlays, the same buffer as `color` where these are off. `expected_error`
+    (uchar; None without that option): the expected root-mean-square error of a pixel's display values before shading
+    correction and overlays, in quarters of an 8-bit level. `numpy(name)` copies one of them to the host, `mapped(name)`
+    reads it in place in a `with` block; `event` is complete when they hold the frame.
     """
 
     alpha: float
@@ -115,3 +118,4 @@ class ExtrapolatedFrame(MadeFrame):
     disoccluded: cl.Buffer
     filled_by: cl.Buffer
     gae: cl.Buffer
+    expected_error: cl.Buffer | None = None

@@ -346,7 +346,7 @@ class Pipeline(Unique):
         intervals after it, and for arguments of other types or shapes, or events that cannot be waited for.
         """
         events = adopted_events(wait_for, self.device.context, "extrapolate: wait_for")
-        frames = self.frames
+        board, frames = self.board, self.frames
         self._decide_cut()
         step = checked_moment(camera, time, frames)
         wait_for_all(self.device.queue, events)
@@ -368,6 +368,7 @@ class Pipeline(Unique):
             disoccluded=disoccluded,
             filled_by=filled_by,
             gae=gae,
+            expected_error=board.buffer("shading", "expected_error") if board.options.expected_error else None,
             alpha=step.alpha,
             source_time=step.frame.time,
             _device=self.device,

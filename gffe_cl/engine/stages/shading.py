@@ -27,25 +27,26 @@ SEEN = {
 
 
 class ShadingInputs(Stage):
-    """Warps the previous rendered frame backward to t + α, replaces ghosts, and makes the input mask.
+    """Warps the previous rendered frame backward to t + α, replaces ghosts, makes the input mask, and estimates the
+    error of each pixel of the new frame before shading correction.
 
-    The results are only for the viewer and for dumps. The network's own inputs come from the same functions, without
-    the images at full size.
+    The network's own inputs come from the same functions, without the images at full size. The expected error follows
+    from contrast, from the change since t − 1 at the surface, and from the stage that filled the pixel.
     """
 
     name = "shading"
     paper = "Shading Correction Network"
     buffers = (
         BufferSpec(
-            "warped_previous",
-            np.float16,
-            ("R", "G", "B", "valid"),
-            "target",
-            "frame t−1 warped backward to t + α (I^w); valid = 0: hidden then, GAE color instead",
-            "color",
+            "warped_previous", np.float16, ("R", "G", "B", "valid"), "target", "frame t−1 warped backward to t + α"
+            " (I^w); valid = 0: hidden then, GAE color instead", "color",
         ),
         BufferSpec("input_mask", np.float16, (), "target", "1 dynamic, 0 disoccluded, 0.5 the rest (M^input)"),
-    )
+        BufferSpec(
+            "expected_error", np.uint8, (), "target", "expected root-mean-square error of display values, in quarters"
+            " of an 8-bit level",
+        ),
+    )  # fmt: skip
     kernels = (
         Kernel(
             "prepare_inputs",
@@ -53,21 +54,32 @@ class ShadingInputs(Stage):
             SEEN,
             {"warped_previous": "shading.warped_previous", "input_mask": "shading.input_mask"},
         ),
+        Kernel(
+            "expect_error",
+            "target",
+            {
+                **{name: f"frame.{name}" for name in ("color", "disoccluded", "filled_by")},
+                "warped_previous": "shading.warped_previous",
+            },
+            {"expected_error": "shading.expected_error"},
+            step=("LANES", 1),
+        ),
     )
     is_looked_at = True
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
-        return options.shading_inputs
+        return options.shading_inputs or options.expected_error
 
     def look_at(self, names: set[str] | None) -> None:
-        self.is_looked_at = names is None or any(f"{self.name}.{spec.name}" in names for spec in self.buffers)
+        own = {f"{self.name}.{spec.name}" for spec in self.buffers}
+        self.is_looked_at = names is None or self.board.options.expected_error or not own.isdisjoint(names)
 
     def extrapolated(self, step: Step) -> None:
-        """Fill the inputs. After a reset everything is GAE color."""
-        if not self.is_looked_at:
-            return
-        self.launch("prepare_inputs", step)
+        """Fill the buffers. After a reset everything is GAE color."""
+        if self.is_looked_at:
+            self.launch("prepare_inputs", step)
+            self.launch("expect_error", step)
 
 
 _SHADING_TREND_CONSTANTS = constants("shading_trend.cl")

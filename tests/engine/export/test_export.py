@@ -57,7 +57,7 @@ VARIED = replace(
     static_threshold=1.5,
     camera_order=1,
 )
-DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", shading_inputs=True, hidden_parts=False, blocks=False)
+DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", expected_error=True, hidden_parts=False, blocks=False)
 UPSCALED = replace(DEFAULT, upscale=2.0)
 _libraries: dict = {}
 
@@ -134,7 +134,7 @@ def assert_same_buffers(engine: Engine, pipeline: Pipeline):
 
 
 def assert_same_frame(engine: Engine, made, ours):
-    for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by", "gae"):
+    for name in ("color", "depth", "motion", "dynamic", "disoccluded", "filled_by", "gae", "expected_error"):
         if getattr(made, name) is None:
             continue
         buffer = getattr(ours, name)

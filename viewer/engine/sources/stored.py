@@ -24,6 +24,7 @@ from .source import FrameSource
 _IN_OUTPUT = {names.DEPTH: ("Z",), names.MOTION: ("motion.x", "motion.y")} | {
     f"frame.{name}": (channel,) for channel, name in MASKS.items()
 }
+_IN_OUTPUT[names.EXPECTED_ERROR] = ("mask.expected_error",)
 _OF_RENDERED = {names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION}
 
 

@@ -332,6 +332,7 @@ static void hand_out(const gffe *g, gffe_frame *made) {
     made->dynamic = memory_of(g, "frame.dynamic");
     made->disoccluded = memory_of(g, "frame.disoccluded");
     made->filled_by = memory_of(g, "frame.filled_by");
+    made->expected_error = memory_of(g, "shading.expected_error");
     made->camera = g->step.cameras[GFFE_TARGET_CAMERA];
     made->time = g->step.time;
     made->alpha = g->step.alpha;

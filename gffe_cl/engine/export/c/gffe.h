@@ -62,6 +62,7 @@ typedef struct gffe_frame {
     cl_mem color, depth, motion; /* half x 4, float, float x 2 */
     cl_mem dynamic, disoccluded, filled_by; /* uchar */
     cl_mem gae; /* color before shading correction, half x 4 */
+    cl_mem expected_error; /* uchar; NULL without this option */
     gffe_camera camera; /* in pixels of the display */
     double time, alpha; /* seconds; intervals after the rendered frame */
 } gffe_frame;
