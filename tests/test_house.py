@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 37_839,
     "viewer": 12_770,
     "kernels": 10_246,
-    "tests": 28_555,
+    "tests": 28_558,
     "docs/tools": 4_177,
     "docs/examples": 1_884,
     "docs/*.md": 4_422,
