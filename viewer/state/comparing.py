@@ -201,9 +201,7 @@ class Comparison:
         if self.flipped or view.compare not in ("difference", "flip error"):
             return ""
         if view.compare == "difference":
-            lost = ", B along motion vectors, checkered where they lead out of it" * bool(
-                self.neighbor and self.follows
-            )
+            lost = ", along vectors (checkered: none)" * bool(self.neighbor and self.follows)
             return f"{FORMULAS[view.difference]} × {view.gain:g}{lost}"
         return f"FLIP error, brightest from {self.flip_high:.3g}"
 

@@ -162,7 +162,9 @@ class Scan:
 def _uneven(entries: list[FrameEntry]) -> dict[int, str]:
     """Return rendered frames that do not come at the usual interval, in words; none where that is usual."""
     steps, usual = uneven_intervals(entries)
-    texts = {k: f"{1e3 * step:.1f} ms after the frame before, usually {1e3 * usual:.1f}" for k, step in steps.items()}
+    texts = {
+        k: f"{1e3 * step:.1f} ms after the frame before, usually {1e3 * usual:.1f} ms" for k, step in steps.items()
+    }
     return texts if len(texts) <= _MOST_UNEVEN * len(entries) else {}
 
 

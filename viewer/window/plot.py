@@ -157,6 +157,7 @@ def _controls(app: App) -> None:
             text = f"mean of {count} frame{'s' * (count != 1)}" + " of both" * (len(means) > 1)
             row(imgui.calc_text_size(text).x)
             imgui.text_disabled(text)
+            widgets.tooltip("Generated frames between the in and the out point, after the first two rendered ones")
         text = _progress(model)
         if text:
             row(min(imgui.calc_text_size(text).x, em(8)))

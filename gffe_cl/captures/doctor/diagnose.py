@@ -21,6 +21,7 @@ from gffe_cl.captures.doctor.findings import (
     FAULT,
     NOTE,
     UNKNOWN,
+    AtFrame,
     Finding,
     FormatChange,
     InvalidPixels,
@@ -101,6 +102,7 @@ def examine(clip: Clip, exposure: float = 1.0) -> Diagnosis:
     """Examine the rendered frames of `clip` and return the diagnosis. Raises GffeError if it has none, or if a file
     cannot be read."""
     diagnosis = _examine(clip, exposure)
+    diagnosis.findings += uneven_times(clip, {one.frame for one in diagnosis.findings if isinstance(one, AtFrame)})
     declared = clip.format or FrameFormat()
     diagnosis.findings = [one.within(declared) for one in diagnosis.findings]
     diagnosis.findings.sort(key=lambda one: (one.kind != FAULT, one.kind == UNKNOWN))
@@ -120,7 +122,7 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
     if found.faults:
         return found
     repeated = repeated_frames(looks)
-    found.findings += [*needless_resets(looks), *repeated, *uneven_times(clip)]
+    found.findings += [*needless_resets(looks), *repeated]
     twice = {k for one in repeated if isinstance(one, RepeatedFrames) for k in one.frames}
     deep = [k for k in deep if PREVIOUS in looks[k].neighbors and k not in twice]
     if not deep:

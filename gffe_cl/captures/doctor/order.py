@@ -102,9 +102,11 @@ def needless_resets(looks: dict[int, Look]) -> list[Finding]:
     return [NeedlessResets(tuple(found))] if len(found) > max(1, len(looks) / 4) else []
 
 
-def uneven_times(clip: Clip) -> list[Finding]:
-    """Return a note on rendered frames that do not come at the usual interval."""
-    steps, usual = uneven_intervals(clip.rendered)
+def uneven_times(clip: Clip, left_out: set[int]) -> list[Finding]:
+    """Return a note on rendered frames that do not come at the usual interval; `left_out`: frames that have a
+    finding."""
+    uneven, usual = uneven_intervals(clip.rendered)
+    steps = {k: step for k, step in uneven.items() if k not in left_out}
     return [UnevenTimes(tuple(steps), usual, min(steps.values()), max(steps.values()))] if steps else []
 
 
