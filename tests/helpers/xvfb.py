@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-SCREEN = ("xvfb-run", "-a", "-s", "-noreset -screen 0 1920x1200x24")
+SIZE = "1920x1200"
+SCREEN = ("xvfb-run", "-a", "-s", f"-noreset -screen 0 {SIZE}x24")
 
 
 def require_screen():
@@ -18,11 +19,11 @@ def require_screen():
         pytest.skip("xvfb-run is not installed")
 
 
-def run_window(script: Path, *arguments, folder: Path, timeout=300, **environment):
-    """Run a script of Python that opens a window, in `folder`, until it ends well."""
+def run_window(script: Path, *arguments, folder: Path, timeout=300, size=SIZE, **environment):
+    """Run a script of Python that opens a window, in `folder` on a screen of `size`, until it ends well."""
     require_screen()
     given = {"LIBGL_ALWAYS_SOFTWARE": "1", "XDG_CONFIG_HOME": str(folder)} | environment
-    command = [*SCREEN, sys.executable, script, *arguments]
+    command = [*(word.replace(SIZE, size) for word in SCREEN), sys.executable, script, *arguments]
     child = subprocess.run(
         [*map(str, command)], env=os.environ | given, cwd=folder, capture_output=True, text=True, timeout=timeout
     )

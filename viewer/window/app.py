@@ -67,6 +67,7 @@ class App:
         self._chosen: Callable[[str], object] = model.open  # what takes the path of the dialog
         self.foot: tuple[float, float] | None = None
         self.canvas_size: tuple[int, int] = (0, 0)  # screen pixels
+        self.picture_at: tuple[float, float] = (0.0, 0.0)  # the upper left corner of the picture's panel, screen pixels
         self.drags, self.pressed_at = "nothing", ImVec2()  # by the mouse, in the picture
         self.row_seen = ""  # of the list of layers: it was scrolled to this one
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from importlib import import_module
 from typing import Any, NamedTuple
 
@@ -49,7 +50,7 @@ _TIMELINE_HEIGHT = 110.0  # pixels at the usual size of letters ...
 _ROW_HEIGHT = 27.0  # ... and of one more row of controls ...
 _ONE_ROW = 640.0  # ... where it is narrower than this
 _PLOT_HEIGHT = 170.0
-_HIGHEST = 0.4  # of the height: timeline and plot
+_HIGHEST = 0.42  # of the height: timeline and plot
 _LEAST_PICTURE = 0.4  # of the height, above both
 _SIDES = (264.0, 348.0)  # pixels left and right of the picture, at the usual size of letters ...
 _WIDEST = (0.24, 0.32)  # ... but not more of the width
@@ -80,25 +81,32 @@ class Docks:
         from the default."""
         docking = hello_imgui.DockingParams()
         docking.main_dock_space_node_flags |= _PLAIN_TABS
+        docking.docking_splits = self._splits(size)
+        docking.dockable_windows = [self._window(name, open_panels) for name in PANELS]
+        runner.docking_params, self._runner = docking, runner
+
+    def _splits(self, size: tuple[float, float]) -> list[hello_imgui.DockingSplit]:
+        """Return the splits of a window of `size`, pixels at 96 dpi, and note where the plot goes."""
         left, right = _sides(size[0], self._app.scale)
-        bottom = min((_TIMELINE_HEIGHT * self._app.scale + _second_row(size[0], self._app.scale)) / size[1], _HIGHEST)
+        bottom = min((_TIMELINE_HEIGHT * self._app.scale + _more_rows(size[0], self._app.scale)) / size[1], _HIGHEST)
         above = min(_PLOT_HEIGHT * self._app.scale / size[1] / (1 - bottom), _HIGHEST)
-        docking.docking_splits = [
+        self._plot_beside = (1 - bottom) * (1 - above) < _LEAST_PICTURE
+        return [
             hello_imgui.DockingSplit("MainDockSpace", "Left", imgui.Dir.left, left),
             hello_imgui.DockingSplit("MainDockSpace", "Right", imgui.Dir.right, right / (1 - left)),
             hello_imgui.DockingSplit("MainDockSpace", "Bottom", imgui.Dir.down, bottom),
             hello_imgui.DockingSplit("MainDockSpace", _ABOVE, imgui.Dir.down, above),
             hello_imgui.DockingSplit("Right", "RightBottom", imgui.Dir.down, _LOWER_RIGHT),
         ]
-        self._plot_beside = (1 - bottom) * (1 - above) < _LEAST_PICTURE
-        docking.dockable_windows = [self._window(name, open_panels) for name in PANELS]
-        runner.docking_params, self._runner = docking, runner
+
+    def _space(self, name: str) -> str:
+        """Return the space of the window that a panel is docked in."""
+        space = PANELS[name].space
+        return PANELS["Timeline"].space if space == _ABOVE and self._plot_beside else space
 
     def _window(self, name: str, open_panels: dict[str, bool]) -> hello_imgui.DockableWindow:
         panel = PANELS[name]
-        beside = panel.space == _ABOVE and self._plot_beside
-        space = PANELS["Timeline"].space if beside else panel.space
-        window = hello_imgui.DockableWindow(name, space, can_be_closed_=name != "Picture")
+        window = hello_imgui.DockableWindow(name, self._space(name), can_be_closed_=name != "Picture")
         window.is_visible = open_panels.get(name, panel.is_open)
         window.remember_is_visible = False  # the settings do
         window.call_begin_end, docked, narrow = False, True, True
@@ -149,11 +157,14 @@ class Docks:
             self.panel(name).is_visible = not self.hidden
 
     def reset(self) -> None:
-        """Restore the default arrangement."""
+        """Restore the default arrangement, as this window and these letters have it."""
+        size, docking = imgui.get_io().display_size, self._running.docking_params
+        docking.docking_splits = self._splits((size.x / content_scale(), size.y / content_scale()))
+        self._stretched.clear()
         for name, panel in PANELS.items():
-            self.panel(name).is_visible = panel.is_open
+            self.panel(name).is_visible, self.panel(name).dock_space_name = panel.is_open, self._space(name)
         self.hidden = False
-        self._running.docking_params.layout_reset = True
+        docking.layout_reset = True
 
     @property
     def remembered(self) -> dict[str, bool]:
@@ -181,7 +192,7 @@ class Docks:
             node, down = beside[-1], name == "Timeline"
             now = node.size.y if down else node.size.x
             made, usual = self._stretched.get(name, (0.0, 0.0))
-            rows = [_second_row(width, scale * content_scale()) if down else 0.0 for scale in (before, after)]
+            rows = [_more_rows(width, scale * content_scale()) if down else 0.0 for scale in (before, after)]
             if abs(now - made) > 2:  # the user chose another size
                 usual = (now - rows[0]) / before
             made = min(usual * after + rows[1], most)
@@ -225,10 +236,11 @@ def _sides(width: float, scale: float) -> list[float]:
     return [min(side * scale / width, most) for side, most in zip(_SIDES, _WIDEST, strict=True)]
 
 
-def _second_row(width: float, scale: float) -> float:
+def _more_rows(width: float, scale: float) -> float:
     """Return the height of the timeline's controls that do not fit into the first row of a window of this width,
     pixels."""
-    return _ROW_HEIGHT * scale if (1 - sum(_sides(width, scale))) * width < _ONE_ROW * scale else 0.0
+    rows = math.ceil(_ONE_ROW * scale / ((1 - sum(_sides(width, scale))) * width))
+    return _ROW_HEIGHT * scale * (rows - 1)
 
 
 def _is_crowded(name: str) -> bool:

@@ -117,7 +117,8 @@ def _values(app: App, inspection) -> None:
             imgui.text_disabled(group)
             listed = list(of_group)
             colors = _widest(row.value for row in listed if row.is_color)
-            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room))
+            shortest = _widest(f"{widgets.cut(row.label, 0)} {row.where}" for row in listed)
+            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room, shortest))
 
 
 def _widest(texts: Iterable[str]) -> float:

@@ -53,7 +53,10 @@ def _row(app: App, spec) -> None:
     shown = spec.name == model.view.a
     reason = model.contents.why_not(spec.name)
     imgui.begin_disabled(reason is not None)
-    if imgui.selectable(f"{widgets.cut(spec.label, imgui.get_content_region_avail().x)}###{spec.name}", shown)[0]:
+    mark = f"{icons.ICON_FA_CODE_COMPARE} B" * (spec.name == model.view.b and model.view.compare != "off")
+    taken = imgui.calc_text_size(mark).x + hello_imgui.em_size(0.8) if mark else 0.0
+    label = widgets.cut(spec.label, imgui.get_content_region_avail().x - taken)
+    if imgui.selectable(f"{label}###{spec.name}", shown)[0]:
         model.show_layer(spec.name)
     imgui.end_disabled()
     if shown and spec.name != app.row_seen:
@@ -61,9 +64,9 @@ def _row(app: App, spec) -> None:
         if not imgui.is_item_visible():
             imgui.set_scroll_here_y()
     widgets.tooltip(reason or spec.description)
-    if spec.name == model.view.b and model.view.compare != "off":
+    if mark:
         imgui.same_line()
-        imgui.text_disabled(f"{icons.ICON_FA_CODE_COMPARE} B")
+        imgui.text_disabled(mark)
 
 
 def _display(model: Model) -> None:

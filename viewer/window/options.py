@@ -158,6 +158,8 @@ def _settings(app: App) -> None:
         widgets.action_button(app.actions, name, icon)
         imgui.same_line()
     if kept is None:
+        if imgui.get_content_region_avail().x < 8 * imgui.get_font_size():
+            imgui.new_line()
         widgets.hint("K keeps the present settings as B")
         return
     imgui.begin_disabled(not model.comparison.by_settings)

@@ -28,6 +28,7 @@ _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
 _GRAY = (0.3, 0.3, 0.32, 0.6)  # over a picture that is not the requested one ...
+_STRIP = 1.9  # em: above and below the fitted picture, for captions
 _STILL_FRESH = 0.15  # ... for so many seconds: less would flicker
 
 
@@ -36,12 +37,14 @@ def draw(app: App) -> None:
     size = imgui.get_content_region_avail()
     width, height = max(int(size.x), 16), max(int(size.y), 16)
     origin = imgui.get_cursor_screen_pos()
-    app.foot = origin.x + width / 2, origin.y + height
+    app.foot, app.picture_at = (origin.x + width / 2, origin.y + height), (origin.x, origin.y)
     if model.source is None:
         _welcome(app, size)
         return
     if model.framing.due or (model.framing.is_fitted and app.canvas_size != (width, height)):
-        model.framing.fit((width, height), model.contents.size)
+        model.framing.fit(
+            (width, max(height - 2 * round(hello_imgui.em_size(_STRIP)), height // 2)), model.contents.size
+        )
     app.canvas_size = width, height
     if model.choices.overview:
         _overview(app, (width, height))
@@ -291,7 +294,6 @@ def _caption(model: Model, origin, width, height, marks) -> None:
     kind = f"{model.captions.frame}   {view.zoom * 100:.0f} %"
     if (result := model.contents.result) is not None and (bad := result.bad_pixels):
         kind += f"   {bad.color + bad.depth + bad.motion + bad.long} invalid pixels of the input"
-    label(kind, 10, height - line)
     state = model.comparison.scale_text()
     if not (model.comparison.ready and model.current) or (model.busy and not model.playback.playing):
         state = (
@@ -299,10 +301,10 @@ def _caption(model: Model, origin, width, height, marks) -> None:
             if model.document.failure is None or model.busy
             else f"not this frame: {model.document.failure}"
         )
+    state = widgets.cut(state, max(0.6 * width, width - 40 - imgui.calc_text_size(kind).x))
+    label(widgets.cut(kind, width - 40 - imgui.calc_text_size(state).x), 10, height - line)
     if state:
-        state = widgets.cut(state, width - 24)
-        beside = imgui.calc_text_size(kind).x + imgui.calc_text_size(state).x < width - 40
-        label(state, width - 10, height - line * (1 if beside else 2.4), right=True)
+        label(state, width - 10, height - line, right=True)
     for number, state in enumerate(model.states):
         text = widgets.cut(state, width - 24)
         if height > (6 + number) * line:

@@ -17,6 +17,7 @@ _BLUE = ImVec4(0.36, 0.62, 0.95, 1.0)
 _SECONDS = {"error": 30.0, "note": 8.0}  # that a message stands there, by its kind
 _OVER_PICTURE = {"error": 6.0, "title": 8.0}  # ... over the picture
 _ABOVE_FOOT = 2.2  # em: messages are above the captions at the bottom of the picture
+_GAP = "     "
 _KERNEL_SHARE = 0.7  # of the bar, at most, if there is another message
 
 
@@ -39,7 +40,10 @@ def draw(app: App) -> None:
         widgets.tooltip("\n".join(message.text for message in shown))
         told = True
     _beside(told)
-    text = "     ".join(parts(model))
+    listed, room = parts(model), imgui.get_content_region_avail().x
+    while len(listed) > 1 and imgui.calc_text_size(_GAP.join(listed)).x > room:
+        del listed[0]  # the last one is that of the pointer
+    text = widgets.cut(_GAP.join(listed), room)
     if told:
         imgui.text_disabled(text)
     else:

@@ -67,11 +67,13 @@ def action_button(actions, name: str, icon: str, width: float = 2.2) -> None:
 def toggle(
     label: str, value: bool, change: Callable[[bool], object], help_text: str = "", reason: str | None = None
 ) -> None:
-    """Draw a checkbox, grayed out with `reason` if there is one."""
+    """Draw a checkbox, grayed out with `reason` if there is one, with as much of its label as has room."""
+    room = imgui.get_content_region_avail().x - imgui.get_frame_height() - imgui.get_style().item_inner_spacing.x
+    shown = cut(label, room)
     imgui.begin_disabled(reason is not None)
-    changed, new = imgui.checkbox(label, value)
+    changed, new = imgui.checkbox(label if shown == label else f"{shown}###{label}", value)
     imgui.end_disabled()
-    tooltip(reason or help_text)
+    tooltip(reason or (help_text if shown == label else f"{label}\n{help_text}"))
     if changed:
         change(new)
 
