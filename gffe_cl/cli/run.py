@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import shutil
-from dataclasses import replace
+from collections.abc import Iterator
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -25,6 +26,7 @@ from gffe_cl.cli.common import (
     progress_bars,
     steps,
     takes_options,
+    takes_scheduler,
     warn,
     write_json,
 )
@@ -36,7 +38,7 @@ from gffe_cl.engine.options import OPTIONS
 if TYPE_CHECKING:
     from gffe_cl.captures.offline.run import RunReport
     from gffe_cl.captures.offline.source import Live, Recorded
-    from gffe_cl.engine.opencl.device import Device, DeviceInfo
+    from gffe_cl.engine.opencl.device import Device
     from gffe_cl.engine.options import Options
 
 _MANY_CUTS = 0.2  # of the rendered frames
@@ -46,6 +48,7 @@ _FILES = (".avi", ".webm", ".png", ".jpg", ".jpeg", ".exr", ".hdr", ".tif", ".we
 
 @app.command()
 @takes_options(*(name for name in OPTIONS if name != "ui_detection"))  # it has a third value here
+@takes_scheduler
 def run(
     sequence: Annotated[
         Path,
@@ -107,13 +110,15 @@ def run(
     json_path: JsonOption = None,
     *,
     options: Options,
+    cluster: Any,
 ) -> None:
     """Extrapolate after every rendered frame of a sequence, of all sequences in a folder, or of a built-in scene.
 
     The same command continues an interrupted run: finished frames are taken up where input and settings are the same.
     """
-    from gffe_cl.captures.formats import captures_in
+    from gffe_cl.captures.formats import captures_in, open_capture
     from gffe_cl.captures.offline.run import alphas_for, run_sequence
+    from gffe_cl.captures.offline.source import Recorded
     from gffe_cl.engine.opencl.runtimes import keep_freed_memory
 
     if n is not None and alpha is not None:
@@ -129,36 +134,46 @@ def run(
     keep_freed_memory()
     opened: Any = None
     sources, broken = [], {}
-    for path in several or [sequence]:
-        try:
-            opened, source = open_source(path, window, opened or device, live, options.upscale)
-        except GffeError as error:
-            if not several:
-                raise
-            broken[path.name] = str(error)
-        else:
-            sources.append((path, source))
-    if not sources:
-        raise GffeError("; ".join(named(name, reason) for name, reason in broken.items()))
-    with progress_bars() as progress:
-        total = sum(source.count for _, source in sources) * len(alphas)
-        how: dict[str, Any] = {"predicted_camera": camera == "predicted", "strict": strict, "dump_stages": dump_stages}
-        how |= {"compression": compression, "overwrite": overwrite, "once": bool(several)}
-        how |= {"on_frame": steps(progress)("Extrapolating", total)}
-        reports = {}
-        for path, source in sources:
-            place = output / path.name if several else output
-            detects = not no_check and _check_quickly(source, path, opened, ui_detection)
-            chosen = replace(options, ui_detection=True) if detects else options
+    with cluster as workers, progress_bars() as progress:
+        if workers and (dump_stages or not several):
+            raise GffeError("--scheduler: expected a folder of several sequences, and no --dump-stages")
+        for path in several or [sequence]:
             try:
-                report = (_run_to_video if as_video else run_sequence)(source, place, opened, chosen, alphas, **how)
+                if workers:
+                    source = Recorded(open_capture(path), None, window, options.upscale)
+                else:
+                    opened, source = open_source(path, window, opened or device, live, options.upscale)
             except GffeError as error:
                 if not several:
                     raise
                 broken[path.name] = str(error)
             else:
-                _print_report(report, place)
-                reports[path.name] = _report_json(report, opened.info)
+                sources.append((path, source))
+        if not sources:
+            raise GffeError("; ".join(named(name, reason) for name, reason in broken.items()))
+        advance = steps(progress)("Extrapolating", sum(source.count for _, source in sources) * len(alphas))
+        how: dict[str, Any] = {"predicted_camera": camera == "predicted", "strict": strict, "compression": compression}
+        how |= {"alphas": alphas, "detection": None if no_check else ui_detection}
+        answers = _on_workers(workers, sources, output, overwrite, options, device, window, **how) if workers else None
+        how |= {"dump_stages": dump_stages, "overwrite": overwrite, "once": bool(several), "on_frame": advance}
+        reports = {}
+        for path, source in sources:
+            place = output / path.name if several else output
+            try:
+                if answers:
+                    report = _report_of(next(answers))
+                    for _ in range(source.count * len(alphas)):
+                        advance()
+                else:
+                    way = _run_to_video if as_video else run_sequence
+                    report = _run_one(way, source, path, place, opened, options, **how)
+            except GffeError as error:
+                if not several:
+                    raise
+                broken[path.name] = str(error)
+            else:
+                _print_report(report, place, options)
+                reports[path.name] = asdict(report)
     write_json(json_path, {"sequences": reports} if several else next(iter(reports.values())))
     for name, reason in broken.items():
         warn(named(name, reason))
@@ -206,22 +221,88 @@ def _run_to_video(source, place: Path, device, options, alphas, **how) -> RunRep
     return report
 
 
-def _check_quickly(source: Recorded | Live, target: Path, device: Device, ui_detection: str) -> bool:
-    """Print a warning if the first frames of a sequence do not fit. Return whether they show a user interface and
-    `ui_detection` is "auto"."""
+def _run_one(way, source, target: Path | str, place: Path, device, options, *, alphas, detection, **how) -> RunReport:
+    """Run a sequence in the `way` of `run_sequence`, after a quick check unless `detection` is None. `target`: its name
+    for the user."""
+    detects, suspicion = _check_quickly(source, device, detection) if detection else (False, None)
+    suspicions = [f"{suspicion}; `gffe check {target}` has details"] if suspicion else []
+    for text in suspicions:
+        warn(text)
+    report = way(source, place, device, replace(options, ui_detection=True) if detects else options, alphas, **how)
+    return replace(report, warnings=suspicions + report.warnings)
+
+
+def _check_quickly(source: Recorded | Live, device: Device, ui_detection: str) -> tuple[bool, str | None]:
+    """Return whether the first frames of a sequence show a user interface and `ui_detection` is "auto", and a sentence
+    if they do not fit."""
     from gffe_cl.captures.doctor import quick_warning
     from gffe_cl.captures.offline.run import shows_interface
     from gffe_cl.captures.offline.source import Recorded
 
     if not isinstance(source, Recorded):
-        return False
-    suspicion = quick_warning(source.sequence, source.exposure)
-    if suspicion:
-        warn(f"{suspicion}; `gffe check {target}` has details")
-    detects = ui_detection == "auto" and shows_interface(source, device)
-    if detects:
-        out.print("user interface detection is on; `--ui-detection off` leaves it out", soft_wrap=True)
-    return detects
+        return False, None
+    return ui_detection == "auto" and shows_interface(source, device), quick_warning(source.sequence, source.exposure)
+
+
+def _on_workers(workers, sources, output, overwrite, options, device, window, alphas, detection, **how) -> Iterator:
+    """Run sequences on the workers of a cluster, write their results into folders of `output`, and yield what
+    `run_on_worker` returns. Complete results stay as they are."""
+    from gffe_cl.captures.offline.run import GENERATOR, RunReport, is_complete, settings_of
+    from gffe_cl.captures.sequence.writer import write_parts
+    from gffe_cl.engine.frame.rendered_frame import BadPixels
+
+    def settings(source, with_detection: bool) -> str:
+        chosen = replace(options, ui_detection=with_detection)
+        return settings_of(source, chosen, alphas, how["predicted_camera"], how["compression"])
+
+    possible = {options.ui_detection, detection == "auto"}
+    done = [
+        not overwrite and any(is_complete(output / path.name, settings(source, one)) for one in possible)
+        for path, source in sources
+    ]
+    call = {"device": device, "window": window, "alphas": alphas, "detection": detection, **how}
+    call["options"] = asdict(options) | {"scn_model": options.scn_model and Path(options.scn_model)}
+    left = [path for (path, _), is_kept in zip(sources, done, strict=True) if not is_kept]
+    results = workers.map(run_on_worker, ({"path": path, "target": str(path), **call} for path in left))
+    for (path, source), is_kept in zip(sources, done, strict=True):
+        if is_kept:
+            yield asdict(RunReport(0, BadPixels(), [], {}, taken_up=source.count * len(alphas)))
+            continue
+        answer, files = next(results)
+        try:
+            if "error" not in answer:
+                source.refuse(output / path.name)
+                write_parts(output / path.name, GENERATOR, [files], settings(source, answer["ui_detection"]), path)
+        except GffeError as error:
+            answer = {"error": str(error)}
+        yield answer
+
+
+def run_on_worker(output: Path, path: Path, target: str, device: str | None, window, options: dict, **how) -> dict:
+    """Run a sequence on a worker of a cluster. Return the report, or why it failed, for JSON."""
+    from gffe_cl.captures.formats import open_capture
+    from gffe_cl.captures.offline.run import run_sequence
+    from gffe_cl.captures.offline.source import Recorded
+    from gffe_cl.engine.options import Options
+    from gffe_cl.lab.cluster import device_of_process
+
+    model = options.pop("scn_model")
+    chosen = Options(**options, scn_model=model and str(model))
+    try:
+        opened = device_of_process(device)
+        source = Recorded(open_capture(path), opened, window, chosen.upscale)
+        return asdict(_run_one(run_sequence, source, target, output, opened, chosen, **how))
+    except GffeError as error:
+        return {"error": str(error)}
+
+
+def _report_of(answer: Any) -> RunReport:
+    from gffe_cl.captures.offline.run import RunReport
+    from gffe_cl.engine.frame.rendered_frame import BadPixels
+
+    if "error" in answer:
+        raise GffeError(answer["error"])
+    return replace(RunReport(**answer), bad_pixels=BadPixels(**answer["bad_pixels"]))
 
 
 def open_source(
@@ -256,10 +337,12 @@ def open_source(
     return chosen, Recorded(recorded, chosen, window, scale)
 
 
-def _print_report(report: RunReport, output: Path) -> None:
+def _print_report(report: RunReport, output: Path, options: Options) -> None:
     if not report.extrapolated:
         out.print(f"{plain(output)} is complete (--overwrite makes it anew)")
         return
+    if report.ui_detection and not options.ui_detection:
+        out.print("user interface detection is on; `--ui-detection off` leaves it out", soft_wrap=True)
     for warning in report.warnings:
         warn(warning)
     if report.bad_pixels:
@@ -274,10 +357,6 @@ def _print_report(report: RunReport, output: Path) -> None:
     out.print(f"{counted(report.extrapolated, 'extrapolated frame')} in {plain(output)} (ms per frame: {times})")
     spent = report.seconds
     out.print(f"{spent['wall']:.1f} s: kernels {spent['kernels']:.1f}, network {spent['network']:.1f}")
-
-
-def _report_json(report: RunReport, info: DeviceInfo) -> dict:
-    return {**vars(report), "bad_pixels": vars(report.bad_pixels), "device": info.name, "platform": info.platform}
 
 
 _OF_PYTHON_ALONE = ("overlays", "scn_provider", "camera_order")

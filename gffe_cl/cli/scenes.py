@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import time
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -24,6 +24,7 @@ from gffe_cl.cli.common import (
     say,
     steps,
     takes_options,
+    takes_scheduler,
 )
 from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import require_output_file
@@ -33,6 +34,7 @@ if TYPE_CHECKING:
 
 
 @app.command()
+@takes_scheduler
 def render(
     scene: Annotated[
         str,
@@ -76,39 +78,66 @@ def render(
     encode: EncodeOption = None,
     compression: CompressionOption = "zip",
     device: DeviceOption = None,
+    *,
+    cluster: Any,
 ) -> None:
     """Render a built-in scene to a sequence: color, depth, motion vectors and cameras.
 
     Situations, small scenes of one difficulty each: bars, railings, balls, rotors, handheld, cab, wipers, shadows, fan.
     """
+    from gffe_cl.captures.scenes.renderer import GENERATOR
+    from gffe_cl.captures.sequence.writer import write_parts
+    from gffe_cl.engine.opencl.device import open_device
+
+    call: dict[str, Any] = {
+        "scene": scene,
+        "seed": seed,
+        "size": parse_size(size),
+        "frames": frames,
+        "fps": fps,
+        "ground_truth": ground_truth,
+        "per_frame": per_frame,
+        "samples": samples,
+        "window": window,
+        "jitter": jitter,
+        "scale": scale,
+        "encode": encode,
+        "compression": compression,
+        "device": device,
+    }
+    with cluster as workers, progress_bars() as progress:
+        advance = steps(progress)(f"Rendering '{scene}'", frames * (1 + per_frame * ground_truth))
+        if workers:
+            parts = ({"part": (k, min(k + _PART, frames)), **call} for k in range(0, max(frames, 1), _PART))
+            count = write_parts(output, GENERATOR, _with_progress(workers.map(rendered, parts), advance))
+        else:
+            call["device"] = open_device(device)
+            count = rendered(output, **call, on_frame=advance)
+    out.print(f"{counted(count, 'frame')} in {plain(output)}")
+
+
+_PART = 4  # rendered frames that a worker of a cluster renders at a time
+
+
+def _with_progress(results, advance):
+    """Yield the files of each result, whose document is a number of frames."""
+    for count, files in results:
+        yield files
+        for _ in range(count):
+            advance()
+
+
+def rendered(output: Path, scene: str, seed: int, size, jitter: str, encode, device, part=None, **rest) -> int:
+    """Render a scene, here or on a worker of a cluster, and return the number of frames. `part`: the first and one past
+    the last rendered frame to write; None: all. Other arguments: as of `gffe render`."""
     from gffe_cl.captures.scenes import load_scene
     from gffe_cl.captures.scenes.renderer import render_sequence
     from gffe_cl.engine.frame.window import Jitter
-    from gffe_cl.engine.opencl.device import open_device
+    from gffe_cl.lab.cluster import device_of_process
 
-    width, height = parse_size(size)
-    built, jittered, encoding = load_scene(scene, seed), Jitter.parse(jitter), parse_encoding(encode)
-    with progress_bars() as progress:
-        opened, total = open_device(device), frames * (1 + per_frame * ground_truth)
-        count = render_sequence(
-            built,
-            output,
-            opened,
-            width,
-            height,
-            frames,
-            fps,
-            ground_truth=ground_truth,
-            per_frame=per_frame,
-            samples=samples,
-            window=window,
-            jitter=jittered,
-            scale=scale,
-            encoding=encoding,
-            compression=compression,
-            on_frame=steps(progress)(f"Rendering '{scene}'", total),
-        )
-    out.print(f"{counted(count, 'frame')} in {plain(output)}")
+    rest |= {"jitter": Jitter.parse(jitter), "encoding": parse_encoding(encode), "part": part and range(*part)}
+    opened = device_of_process(device) if device is None or isinstance(device, str) else device
+    return render_sequence(load_scene(scene, seed), output, opened, *size, **rest)
 
 
 @app.command()

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import time
+from contextlib import nullcontext
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -16,6 +17,7 @@ from gffe_cl.cli.common import (
     input_file,
     out,
     progress_bars,
+    takes_scheduler,
     write_json,
 )
 from gffe_cl.engine.core.errors import GffeError, require_packages
@@ -23,6 +25,7 @@ from gffe_cl.engine.core.files import only_process
 
 
 @app.command()
+@takes_scheduler
 def train(
     folder: Annotated[
         Path,
@@ -75,6 +78,8 @@ def train(
     device: DeviceOption = None,
     json_path: JsonOption = None,
     overwrite: OverwriteOption = False,
+    *,
+    cluster: Any,
 ) -> None:
     """Train the shading correction network on varied built-in scenes, and export it as ONNX."""
     require_packages("training", "train", "torch", "onnx")
@@ -82,7 +87,7 @@ def train(
 
     from gffe_cl.engine.opencl.device import open_device
     from gffe_cl.lab.training.data import finished_clips, list_crops, make_clips
-    from gffe_cl.lab.training.training import Recipe, Training, clips_of_run
+    from gffe_cl.lab.training.training import Processes, Recipe, Training, clips_of_run
 
     if minutes is not None and not minutes > 0:
         raise GffeError(f"--minutes must be positive, got {minutes:g}")
@@ -100,21 +105,27 @@ def train(
             raise GffeError(f"{path}: is there without a checkpoint (expected another folder, or --overwrite)")
     if begun is not None and clips < begun:
         raise GffeError(f"--clips {clips}: {folder} was started with {begun} (expected at least as many)")
-    wanted = begun or clips
-    with progress_bars() as bars, only_process(folder):
-        if begun:
+    wanted, processes = begun or clips, Processes()
+    is_first = processes.rank == 0
+    with progress_bars(is_first) as bars, only_process(folder) if is_first else nullcontext():
+        if begun and is_first:
             bars.console.print(f"going on with the {begun} clips that this run was started with")
         started, limit = time.monotonic(), None if minutes is None else 60 * minutes
         clips_until = None if limit is None or begun else started + limit / 3
         task = bars.add_task("clips", total=wanted)
         on_clip = lambda made: bars.advance(task)  # noqa: E731
-        make_clips(data, open_device(device), seed, wanted, on_clip, clips_until, _LEAST_CLIPS)
-        count = len(finished_clips(data, seed, wanted))
-        training = Training(folder, recipe, list_crops(data, seed, count), vgg, count, start, anew=overwrite)
+        if is_first:
+            with cluster as workers:
+                opened = device if workers else open_device(device)
+                make_clips(data, opened, seed, wanted, on_clip, clips_until, _LEAST_CLIPS, workers)
+        count = processes.agree(len(finished_clips(data, seed, wanted)) if is_first else 0)
+        crops = list_crops(data, seed, count)
+        training = Training(folder, recipe, crops, vgg, count, start, overwrite, processes)
         bars.reset(task, description="steps", total=steps, completed=training.step)
         steps_until = None if limit is None else max(started + limit, time.monotonic() + limit / 3)
         done = training.run(steps_until, lambda step: bars.update(task, completed=step))
-    _export(training, folder, data, count, done, torch.__version__, json_path)
+    if is_first:
+        _export(training, folder, data, count, done, torch.__version__, json_path)
 
 
 _LEAST_CLIPS = 2  # to train on and to validate with

@@ -21,10 +21,9 @@ def test_cells_are_those_of_their_subject_method_and_sources(monkeypatch, tmp_pa
     keys = {cells.key_of(one.identity(), METHODS["gffe"].identity()) for one in (subject, *others)}
     keys |= {cells.key_of(subject.identity(), method.identity()) for method in METHODS.values()}
     assert len(keys) == 2 + len(METHODS)
-    for name in ("kernel_digest", "sources"):
-        with monkeypatch.context() as changed:
-            changed.setattr(cells, name, lambda: "others")
-            assert cells.key_of(subject.identity(), METHODS["gffe"].identity()) not in keys
+    with monkeypatch.context() as changed:
+        changed.setattr(cells, "package_digest", lambda: "others")
+        assert cells.key_of(subject.identity(), METHODS["gffe"].identity()) not in keys
     identities = []
     for content in (b"1", b"2"):
         (tmp_path / "a.exr").write_bytes(content)

@@ -41,7 +41,7 @@ def parsed(line: str, monkeypatch) -> dict:
         raise Stop
 
     monkeypatch.setattr(run_module, "open_source", stand_in)
-    monkeypatch.setattr(run_module, "_check_quickly", lambda *_: None)
+    monkeypatch.setattr(run_module, "_check_quickly", lambda *_: (False, None))
     monkeypatch.setattr("gffe_cl.captures.offline.run.run_sequence", run_sequence)
     words = shlex.split(line)
     assert words[0] == "gffe"

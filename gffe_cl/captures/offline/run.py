@@ -30,6 +30,7 @@ from gffe_cl.engine.pipeline.made_frame import ExtrapolatedFrame, PresentedFrame
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.base import pictures_of
 
+GENERATOR = "gffe-cl run"
 _MOST_ALPHA = 100
 _CHECKED, _LEAST_SHARE = 5, 0.002  # first frames, and the share of their pixels, that show a user interface
 _MOTION_STEPS = np.float32(1024)  # per pixel, of motion in files
@@ -41,7 +42,7 @@ class RunReport:
     """Summary of a run: frames made, bad pixels met, warnings, milliseconds per stage and frame (kernels; "network":
     wall time), seconds of the whole run: "wall", of these until kernels were ready ("start"), in "kernels" and in
     "network"; how many frames were rendered ones, how many more an interrupted run had made, and the files of those
-    that were found to be cuts."""
+    that were found to be cuts; the device, and whether a user interface was looked for."""
 
     extrapolated: int
     bad_pixels: BadPixels
@@ -51,6 +52,9 @@ class RunReport:
     rendered: int = 0
     taken_up: int = 0
     cuts: list[str] = field(default_factory=list)
+    device: str = ""
+    platform: str = ""
+    ui_detection: bool = False
 
 
 def alphas_for(n: int) -> list[float]:
@@ -95,8 +99,8 @@ def run_sequence(
         given = ", ".join(f"{a:g}" for a in alphas) or "none"
         raise GffeError(f"alpha must be positive numbers up to {_MOST_ALPHA}, got {given}")
     source.refuse(output)
-    settings = None if dump_stages else _settings(source, options, alphas, predicted_camera, compression)
-    if once and not overwrite and _is_complete(output, settings):
+    settings = None if dump_stages else settings_of(source, options, alphas, predicted_camera, compression)
+    if once and not overwrite and is_complete(output, settings):
         for _ in range(source.count * len(alphas)):
             on_frame()
         return RunReport(0, BadPixels(), [], {}, taken_up=source.count * len(alphas))
@@ -106,7 +110,7 @@ def run_sequence(
         *size,
         source.fps,
         source.exposure,
-        generator="gffe-cl run",
+        generator=GENERATOR,
         compression=compression,
         format=source.format,
         settings=settings,
@@ -116,7 +120,8 @@ def run_sequence(
     pipeline.exposure = source.exposure
     started = perf_counter()
     suffixes = _suffixes(alphas)
-    report = RunReport(0, BadPixels(), [], {})
+    of_device = {"device": device.info.name, "platform": device.info.platform}
+    report = RunReport(0, BadPixels(), [], {}, ui_detection=options.ui_detection, **of_device)
     timings: dict[str, float] = defaultdict(float)
     if dump_stages:
         pipeline.keep()
@@ -190,10 +195,10 @@ def shows_interface(source: Source, device: Device) -> bool:
     return max(shares) >= _LEAST_SHARE
 
 
-def _settings(source: Source, options: Options, alphas: list[float], predicted_camera: bool, compression: str) -> str:
+def settings_of(source: Source, options: Options, alphas: list[float], predicted_camera: bool, compression: str) -> str:
     """Return a digest of everything that the frames of a run depend on: input, settings and kernels. All devices and
     providers of the network give the same bits."""
-    given: list = [asdict(replace(options, scn_provider=None)), alphas, predicted_camera, compression]
+    given: list = [asdict(replace(options, scn_provider=None)), sorted(alphas), predicted_camera, compression]
     weights = Path(options.scn_model) if options.scn_model else inference.default_model()
     if options.corrects_shading and weights:
         with suppress(OSError):  # the pipeline refuses it
@@ -202,7 +207,7 @@ def _settings(source: Source, options: Options, alphas: list[float], predicted_c
     return hashlib.sha256(json.dumps(known, default=str).encode()).hexdigest()[:32]
 
 
-def _is_complete(output: Path, settings: str | None) -> bool:
+def is_complete(output: Path, settings: str | None) -> bool:
     """Return whether the folder `output` has the whole result of a run with these `settings`."""
     try:
         description = parse_description(read_text(output / FILE_NAME))

@@ -496,14 +496,16 @@ class SceneFrames:
         assert self.size == (self._truths.width, self._truths.height)
         return self._truths.render(time, self.display_camera(time), before and before.time, before and before.camera)
 
-    def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
-        """Yield `count` rendered frames in order of time from `start` (seconds) on, 1 / `fps` (default: the scene's)
-        apart; the first is a reset."""
+    def sequence(
+        self, count: int, fps: float | None = None, start: float = 0.0, first: int = 0
+    ) -> Iterator[RenderedFrame]:
+        """Yield the rendered frames `first` … `count` − 1 in order of time, of which number 0 is at `start` (seconds),
+        1 / `fps` (default: the scene's) apart; the first is a reset."""
         fps = fps or self.scene.fps
         require_frames(count, fps)
         step = 1.0 / fps
         before = None
-        for k in range(count):
+        for k in range(first, count):
             before = self.rendered(start + k * step, before, k)
             yield before
 
@@ -566,6 +568,7 @@ class _JitteredSamples:
 
 
 _MOST_SCALE = 4
+GENERATOR = "gffe-cl render"
 
 
 def render_sequence(
@@ -586,6 +589,7 @@ def render_sequence(
     scale: float = 1.0,
     encoding: Encoding = EXACT,
     compression: str = DEFAULT_COMPRESSION,
+    part: range | None = None,
     on_frame: Callable[[], None] = lambda: None,
 ) -> int:
     """Render `frames` frames of `scene` at `fps` into the folder `output`, and return how many were written.
@@ -595,8 +599,13 @@ def render_sequence(
     "adaptive": covering the frames in between. `width` and `height` are the display's; rendered frames are `scale`
     times smaller each way, with textures as fine as the display. `samples` per pixel: 8 if None, 1 of jittered frames.
     Rendered frames are stored by `encoding`; truth is exact but for a user interface. `compression` is that of the EXRs
-    (see `SequenceWriter`). `on_frame` is called after every frame. Raises GffeError.
+    (see `SequenceWriter`). `part`: rendered frames to write, with those in between; None: all. `on_frame`
+    is called after every frame. Raises GffeError, also for a part of frames that depend on all before them.
     """
+    if part is not None and (window == "adaptive" or encoding.is_rendered):
+        raise GffeError(
+            "--window adaptive and --encode taa, jittered, half need all frames before (expected no --scheduler)"
+        )
     if frames < 1:
         raise GffeError(f"--frames must be at least 1, got {frames}")
     if not 0 < fps < float("inf"):
@@ -621,12 +630,16 @@ def render_sequence(
         height,
         fps,
         scene.exposure,
-        generator="gffe-cl render",
+        generator=GENERATOR,
         compression=compression,
         format=encoding.format,
     )
     with writing as writer:
-        for k, frame in enumerate(exact.sequence(frames, fps)):
+        part = part or range(frames)
+        first = max(part.start - 1, 0)  # motion leads into the frame before
+        for k, frame in enumerate(exact.sequence(part.stop, fps, first=first), first):
+            if k not in part:
+                continue
             stored = made.encoded(frame, k)
             channels = named_channels(stored.color, stored.depth, stored.motion)
             writer.add(rendered_entry(k, stored, (width, height)), channels)
@@ -639,4 +652,4 @@ def render_sequence(
                 entry = FrameEntry(file, time, "ground_truth", display_camera=exact.display_camera(time))
                 writer.add(entry, named_channels(color, image.depth, image.motion))
                 on_frame()
-    return frames + frames // truth_every * len(alphas) * ground_truth
+    return len(part) + sum((k + 1) % truth_every == 0 for k in part) * len(alphas) * ground_truth

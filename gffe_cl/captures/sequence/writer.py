@@ -7,9 +7,10 @@ import os
 import shutil
 import time
 from collections import deque
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from concurrent.futures import ThreadPoolExecutor, wait
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +19,7 @@ from numpy.typing import ArrayLike
 
 from gffe_cl.captures.sequence import exr
 from gffe_cl.captures.sequence.description import (
+    FILE_NAME,
     KINDS,
     Description,
     FrameEntry,
@@ -305,6 +307,39 @@ class SequenceWriter:
                 windows = {"dataWindow": _box(left, top, *stored), "displayWindow": _box(0, 0, *size)}
                 return {**camera_attributes(display, *size), **windows}
         return camera_attributes(render, *stored)
+
+
+def write_parts(
+    path: Path,
+    generator: str,
+    parts: Iterable[dict[str, bytes]],
+    settings: str | None = None,
+    source: Path | None = None,
+) -> int:
+    """Write the sequence `path` from the files of its `parts`, consecutive sequences in memory, and return the number
+    of frames. Frames without a file are linked from the folder `source`. `generator`, `settings` and errors: as of
+    `SequenceWriter`."""
+    writer, count = None, 0
+    with contextlib.ExitStack() as stack:
+        for files in parts:
+            part = parse_description(files[FILE_NAME].decode())
+            if writer is None:
+                size, rate = (part.width, part.height), (part.fps, part.exposure)
+                made = SequenceWriter(path, *size, *rate, generator=generator, format=part.format, settings=settings)
+                writer = stack.enter_context(made)
+            else:
+                part.frames[0].reset = False  # the first frame of a description is read as one
+            for entry in part.frames:
+                if entry.file in files:
+                    writer._submit(entry, partial(_write, files[entry.file]))
+                elif source:
+                    writer.link(entry, source / entry.file)
+            count += len(part.frames)
+    return count
+
+
+def _write(content: bytes, path: Path) -> None:
+    path.write_bytes(content)
 
 
 def named_channels(

@@ -123,6 +123,23 @@ def _pour(part: Path, target: Path) -> None:
         file.write(part.read_bytes())
 
 
+Files = dict[str, bytes]  # content by relative path
+
+
+def packed_files(path: Path) -> Files:
+    """Return the files in a folder, or a file and those beside it that have its stem."""
+    root = path if path.is_dir() else path.parent
+    found = path.rglob("*") if path.is_dir() else (one for one in root.iterdir() if one.stem == path.stem)
+    return {str(one.relative_to(root)): one.read_bytes() for one in sorted(found) if one.is_file()}
+
+
+def unpack(packed: Files, root: Path) -> None:
+    """Write files into the folder `root`."""
+    for file, content in packed.items():
+        (root / file).parent.mkdir(parents=True, exist_ok=True)
+        (root / file).write_bytes(content)
+
+
 def write_text(path: Path, text: str) -> None:
     """Write `text` as UTF-8, whole or not at all; names of files that are not UTF-8 appear in it with escapes."""
     with replacing(path) as part:

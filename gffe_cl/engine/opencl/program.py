@@ -18,6 +18,7 @@ import re
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from pathlib import Path, PurePosixPath
 from posixpath import normpath
@@ -36,6 +37,7 @@ from gffe_cl.engine.opencl.probing import build_log, quiet_builds, rounding_opti
 from gffe_cl.engine.opencl.runtimes import NO_CACHE, driver_variables, keep_file, kept_folder, private_folder
 
 _FOLDER = "kernels"
+_RESULTS = ("engine", "captures", "lab")  # wings that results depend on
 _MOST_FILES = 256
 _MOST_BYTES = 64 << 20
 _INCLUDE = re.compile(r'^\s*#include\s+"([^"]+)"')
@@ -170,6 +172,16 @@ def kernel_digest() -> str:
     total = hashlib.sha256()
     for path in sorted(path for path in kernel_folder().rglob("*") if path.suffix in (".cl", ".h")):
         total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())
+    return total.hexdigest()
+
+
+@cache
+def package_digest() -> str:
+    """Return a hash of everything in the package that results depend on: sources, kernels, weights."""
+    total = hashlib.sha256(kernel_digest().encode())
+    for path in sorted(path for wing in _RESULTS for path in Path(str(files("gffe_cl")), wing).rglob("*")):
+        if path.suffix in (".py", ".onnx", ".npz"):
+            total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())
     return total.hexdigest()
 
 

@@ -13,16 +13,14 @@ import importlib
 import io
 import json
 import math
-import os
 import platform
 import statistics
 import time
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass, field
-from functools import cache, lru_cache, partial
+from functools import lru_cache, partial
 from importlib.metadata import PackageNotFoundError, version
-from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
@@ -31,8 +29,8 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded, replacing
 from gffe_cl.engine.core.public_names import __version__
-from gffe_cl.engine.opencl.device import Device, open_device
-from gffe_cl.engine.opencl.program import kernel_digest
+from gffe_cl.engine.opencl.program import package_digest
+from gffe_cl.lab.cluster import Cluster, device_of_process
 from gffe_cl.lab.metrics import (
     METRICS,
     REGIONS,
@@ -43,12 +41,19 @@ from gffe_cl.lab.metrics import (
     measured_or_reason,
     to_display,
 )
-from gffe_cl.lab.table.footage import Footage, Shot, Subject, find_labels, open_subject
+from gffe_cl.lab.table.footage import (
+    FolderSubject,
+    Footage,
+    SceneSubject,
+    Shot,
+    Subject,
+    find_labels,
+    open_subject,
+)
 from gffe_cl.lab.table.methods import FULL, GAINS, DeviceRunner, Method, PipelineRunner, chosen_methods
 
 _VERSION = 3
 _MOST_BYTES = 64 << 20  # of a file
-_USED = ("engine", "captures", "lab")  # the wings that figures depend on
 
 
 @dataclass
@@ -117,21 +122,16 @@ VIDEO_METRICS = {
 
 
 @lru_cache(maxsize=1)
-def _device(name: str | None) -> Device:
-    return open_device(name, profiling=True)
-
-
-@lru_cache(maxsize=1)
 def _footage(subject: Subject, device: str | None) -> Footage:
     """Return the footage of a subject. One at a time is cached: its cells are computed one after the other."""
-    footage = open_subject(subject, _device(device))
-    footage.labels = list(find_labels(footage, _device(device)))
+    footage = open_subject(subject, device_of_process(device))
+    footage.labels = list(find_labels(footage, device_of_process(device)))
     return footage
 
 
 def machine_of(device: str | None) -> str:
     """Return the machine that times belong to."""
-    info = _device(device).info
+    info = device_of_process(device).info
     return f"{info.name} ({info.platform})"
 
 
@@ -153,6 +153,32 @@ def compute_cell(
     return _measure(footage, chosen, device, videos, on_moment)
 
 
+def cell_on_worker(_, scene: dict | None, folder: list, method: str | None, onnx: list, model: Any, **rest) -> dict:
+    """Return the cell of `compute_cell`, or why there is none, for JSON. Subject and networks are as in `_sent`."""
+    made: Any = scene and scene | {"alphas": tuple(scene["alphas"])}
+    subject = SceneSubject(**made) if scene else FolderSubject(*folder)
+    networks, provider = tuple(f"{name}={path}" for name, path in onnx), rest.pop("provider")
+    try:
+        return vars(compute_cell(subject, method, networks, network=(model and str(model), provider), **rest))
+    except GffeError as error:
+        return {"error": str(error)}
+
+
+def _sent(work: Work, order: TableOrder, device: str | None) -> dict:
+    """Return the arguments of `cell_on_worker`: paths are those of files that travel."""
+    subject, (model, provider) = work.subject, order.network
+    return {
+        "scene": asdict(subject) if isinstance(subject, SceneSubject) else None,
+        "folder": [Path(subject.path), subject.moments] if isinstance(subject, FolderSubject) else [],
+        "method": work.method,
+        "onnx": [(name, Path(path)) for name, _, path in (text.partition("=") for text in order.onnx)],
+        "model": model and Path(model),
+        "provider": provider,
+        "videos": order.videos,
+        "device": device,
+    }
+
+
 def _describe(footage: Footage) -> Cell:
     """Return the description of a sequence, with the shares of the regions."""
     counts = np.zeros(len(REGIONS), np.int64)
@@ -170,7 +196,8 @@ def _describe(footage: Footage) -> Cell:
 def _measure(
     footage: Footage, method: Method, device: str | None, videos: Iterable[str], on_moment: Callable[[], None]
 ) -> Cell:
-    runner, clock, metrics, flicker = method.runner(footage, _device(device)), _Clock(), measurable(), Flicker()
+    runner = method.runner(footage, device_of_process(device))
+    clock, metrics, flicker = _Clock(), measurable(), Flicker()
     frames, errors = [], []
     shown_all: list[tuple[np.ndarray, np.ndarray, bool]] = []
     for shot in footage.shots(method.window):
@@ -306,19 +333,9 @@ def key_of(subject: dict, method: dict | None) -> str:
         "version": _VERSION,
         "subject": subject,
         "method": method,
-        "sources": sources(),
-        "kernels": kernel_digest(),
+        "package": package_digest(),
     }
     return hashlib.sha256(json.dumps(known, sort_keys=True, default=str).encode()).hexdigest()[:32]
-
-
-@cache
-def sources() -> str:
-    """Return a hash of the modules that figures depend on."""
-    root, total = Path(str(files("gffe_cl"))), hashlib.sha256()
-    for path in sorted(path for wing in _USED for path in (root / wing).rglob("*.py")):
-        total.update(os.fsencode(path.name) + b"\0" + path.read_bytes())
-    return total.hexdigest()
 
 
 # ---- filling -----------------------------------------------------------------------------------------------------
@@ -376,10 +393,11 @@ def fill(
     folder: Path,
     device: str | None = None,
     on_plan: Callable[[int], Callable[[], None]] = lambda total: lambda: None,
+    cluster: Cluster | None = None,
 ) -> Filled:
-    """Fill the table and return it; cells are cached in `folder`. `on_plan` takes the number of moments to come and
-    returns a function that is called after each of them. Finished cells survive an interrupt. Sequences with faults are
-    left out. Raises GffeError if all have faults."""
+    """Fill the table, on the workers of a cluster if there is one, and return it; cells are cached in `folder`.
+    `on_plan` takes the number of moments to come and returns a function that is called after each of them. Finished
+    cells survive an interrupt. Sequences with faults are left out. Raises GffeError if all have faults."""
     names = [subject.name for subject in order.subjects]
     if len(set(names)) < len(names):
         raise GffeError(f"eval: two sequences have one name, {next(n for n in names if names.count(n) > 1)}")
@@ -404,13 +422,22 @@ def fill(
             else:
                 missing.append(work)
     advance = on_plan(sum(work.subject.moments for work in missing if work.method))
+    answers = cluster.map(cell_on_worker, (_sent(work, order, device) for work in missing)) if cluster else None
     for work in missing:
+        answer = next(answers)[0] if answers else {}
         if work.subject.name in filled.broken:
             continue
         try:
-            cell = compute_cell(
-                work.subject, work.method, order.onnx, order.videos, device, order.network, on_moment=advance
-            )
+            if "error" in answer:
+                raise GffeError(answer["error"])
+            if answers:
+                cell = Cell(**answer)
+                for _ in range(work.subject.moments if work.method else 0):
+                    advance()
+            else:
+                cell = compute_cell(
+                    work.subject, work.method, order.onnx, order.videos, device, order.network, on_moment=advance
+                )
         except GffeError as error:
             filled.drop(work.subject.name, str(error))
             continue

@@ -24,6 +24,7 @@ from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.shading import TREND_PLANES, spacing_of
+from gffe_cl.lab.cluster import Cluster, device_of_process
 from gffe_cl.lab.metrics import FOCUS_SMAPE, focus_mask, relative_error, shading_regions
 from gffe_cl.lab.training.domain_randomization import vary_scene
 from gffe_cl.lab.training.network import decode, encode, halve
@@ -166,14 +167,16 @@ def finished_clips(folder: Path, seed: int, count: int) -> list[Path]:
 
 def make_clips(
     folder: Path,
-    device: Device,
+    device: Device | str | None,
     seed: int,
     count: int,
     on_clip: Callable[[bool], None] = lambda made: None,
     until: float | None = None,
     least: int = 0,
+    cluster: Cluster | None = None,
 ) -> int:
-    """Make the missing clips of 0 … count − 1 in `folder`, and return the number made.
+    """Make the missing clips of 0 … count − 1 in `folder`, on the workers of a cluster if there is one, and return the
+    number made. `device` may be a name, then.
 
     Each clip is a `clip_*.npy`, a `clip_*_half.npy` and, written last, a `clip_*.json`. Nothing more is begun when
     `time.monotonic()` has passed `until`, the clips 0 … `least` − 1 apart. `on_clip` is called after each with whether
@@ -186,19 +189,31 @@ def make_clips(
         missing = [k for k in range(count) if not clip_path(folder, seed, k).with_suffix(".json").exists()]
         for _ in range(count - len(missing)):
             on_clip(False)
+        calls = ({"device": device, "seed": seed, "index": index} for index in missing)
+        results = cluster.map(write_clip, calls) if cluster else None
         for index in missing:
             if index >= least and until is not None and monotonic() > until:
                 break
-            name = clip_path(folder, seed, index)
-            samples, halved, document = clip_data(device, ClipPlan.draw(seed, index))
-            np.save(name, samples)
-            np.save(halved_path(name), halved)
-            write_text(name.with_suffix(".json"), json.dumps(document))
+            if results:
+                files = next(results)[1]
+                for name in sorted(files, key=lambda name: name.endswith(".json")):
+                    (folder / name).write_bytes(files[name])
+            else:
+                write_clip(folder, device, seed, index)
             made += 1
             on_clip(True)
     except OSError as error:
         raise GffeError(f"{folder}: cannot write training data: {error.strerror or error}") from None
     return made
+
+
+def write_clip(folder: Path, device: Device | str | None, seed: int, index: int) -> None:
+    """Write a clip; `device`: its name on a worker of a cluster."""
+    name, opened = clip_path(folder, seed, index), device if isinstance(device, Device) else device_of_process(device)
+    samples, halved, document = clip_data(opened, ClipPlan.draw(seed, index))
+    np.save(name, samples)
+    np.save(halved_path(name), halved)
+    write_text(name.with_suffix(".json"), json.dumps(document))
 
 
 def clip_data(device: Device, plan: ClipPlan) -> tuple[np.ndarray, np.ndarray, dict]:

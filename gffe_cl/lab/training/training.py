@@ -3,21 +3,25 @@ encoded space (paper: appendix, 'Loss Functions')."""
 
 from __future__ import annotations
 
+import atexit
 import copy
 import hashlib
 import math
+import os
 import pickle
 import time
 from collections.abc import Callable
 from contextlib import contextmanager
 from dataclasses import asdict, dataclass
+from datetime import timedelta
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import torch
 import torch.nn.functional as functional
-from torch import Tensor, nn
+from torch import Tensor, distributed, nn
+from torch.nn.parallel import DistributedDataParallel
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import replacing
@@ -172,6 +176,7 @@ _CHECKPOINT_SECONDS = 30
 _VALIDATION_SHARE = 0.06  # of the clips
 _VALIDATION_CROPS = 96
 _CALIBRATION_STEPS = 24
+_LONGEST_WAIT = timedelta(days=30)  # of processes for the first one, which may render clips
 
 
 @dataclass(frozen=True)
@@ -262,9 +267,38 @@ def weights(recipe: Recipe) -> dict[str, float]:
     }
 
 
+class Processes:
+    """Processes of one training, as `torchrun` starts them, with a GPU each where there are GPUs: their `count`, the
+    own `rank` and `device`. They see the same files. Without torchrun there is one."""
+
+    def __init__(self):
+        self.count, self.rank = int(os.environ.get("WORLD_SIZE", 1)), int(os.environ.get("RANK", 0))
+        self.device = torch.device("cpu")
+        if torch.cuda.is_available():
+            self.device = torch.device("cuda", int(os.environ.get("LOCAL_RANK", 0)))
+            torch.cuda.set_device(self.device)
+        if self.count > 1:
+            kind = "gloo" if self.device.type == "cpu" else "nccl"
+            distributed.init_process_group(kind, timeout=_LONGEST_WAIT)
+            atexit.register(distributed.destroy_process_group)
+
+    def share(self, network: nn.Module) -> nn.Module:
+        """Return the network with gradients that are means over all processes."""
+        return DistributedDataParallel(network, broadcast_buffers=False) if self.count > 1 else network
+
+    def agree(self, value: Any) -> Any:
+        """Return the `value` of the first process in all of them, once they all are here."""
+        values = [value]
+        if self.count > 1:
+            distributed.broadcast_object_list(values, device=self.device)
+        return values[0]
+
+
 class Training:
     """One run in `folder` on the crops of `clips` clips. It continues from its checkpoint if there is one, unless it is
     to begin `anew`, and else starts with the weights of the network `start`, if given.
+
+    Of several `processes` each trains on its part of every step's crops, and the first one writes checkpoints.
 
     Raises GffeError if the checkpoint is of another recipe or other data, or cannot be read.
     """
@@ -278,11 +312,17 @@ class Training:
         clips: int = 0,
         start: Path | None = None,
         anew: bool = False,
+        processes: Processes | None = None,
     ):
         self.folder, self.recipe = Path(folder), recipe
         validation, train = split_crops(crops, recipe.seed)
         self.crops, self.validation = keep_crops(train, recipe.seed), validation
-        self.device = torch.device("cuda" if torch.cuda.is_available() else "cpu")
+        self.processes = processes or Processes()
+        if recipe.batch % self.processes.count:
+            raise GffeError(
+                f"training: batch {recipe.batch} for {self.processes.count} processes (expected a multiple)"
+            )
+        self.device = self.processes.device
         self.reader = CropReader(self.device)
         torch.manual_seed(recipe.seed)
         self.network = ShadingCorrectionNetwork()
@@ -307,6 +347,7 @@ class Training:
         }
         if not anew:
             self._load()
+        self.parallel = self.processes.share(self.network)
 
     def run(self, until: float | None = None, on_step: Callable[[int], None] = lambda step: None) -> bool:
         """Train until all steps are done, or `time.monotonic()` passes `until`, but a step at least, and return whether
@@ -325,7 +366,7 @@ class Training:
                 if now - saved > _CHECKPOINT_SECONDS:
                     self.save()
                     saved = now
-                if until is not None and now > until and self.step > first:
+                if until is not None and self.step > first and self.processes.agree(now > until):
                     break
                 whole = False
                 self._train_step()
@@ -351,7 +392,7 @@ class Training:
             group["lr"] = recipe.learning_rate_at(self.step)
         self.network.train()
         with torch.autocast(self.device.type, torch.bfloat16, enabled=recipe.bfloat16):
-            correction, likely = self.network(*self._inputs(batch))
+            correction, likely = self.parallel(*self._inputs(batch))
         taught_by = self.teacher(*self._inputs(batch)) if self.teacher else None
         terms = loss_terms(correction.float(), likely, batch, batch.focus().float(), self.perceptual, taught_by)
         factors = weights(recipe)
@@ -369,8 +410,10 @@ class Training:
 
     def _batch(self, step: int, halved: bool) -> Batch:
         """Return the augmented crops of a step."""
-        generator = torch.Generator(self.device).manual_seed(_mixed(self.recipe.seed, step))
-        return Augmentation(generator, self.recipe.shading)(self.reader.batch(self._chosen(step), halved))
+        rank, count = self.processes.rank, self.processes.count
+        generator = torch.Generator(self.device).manual_seed(_mixed(self.recipe.seed, step, rank))
+        crops = self._chosen(step)[rank::count]
+        return Augmentation(generator, self.recipe.shading)(self.reader.batch(crops, halved))
 
     def _inputs(self, batch: Batch) -> tuple[Tensor, Tensor, Tensor]:
         """Return the network's arguments."""
@@ -448,7 +491,9 @@ class Training:
     # ---- checkpoints -----------------------------------------------------------------------------------
 
     def save(self) -> None:
-        """Write the checkpoint. If that fails, the one before stays."""
+        """Write the checkpoint, in the first process. If that fails, the one before stays."""
+        if self.processes.rank:
+            return
         state = {
             "format": _FORMAT,
             "conditions": self.conditions,
@@ -521,5 +566,5 @@ def _readable(path: Path):
         raise GffeError(f"{path}: not a checkpoint of this program ({type(error).__name__})") from None
 
 
-def _mixed(seed: int, step: int) -> int:
-    return int(np.random.SeedSequence([seed, step, 0]).generate_state(1)[0])
+def _mixed(seed: int, step: int, rank: int) -> int:
+    return int(np.random.SeedSequence([seed, step, rank]).generate_state(1)[0])

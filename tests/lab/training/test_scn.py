@@ -2,6 +2,10 @@
 
 import json
 import math
+import os
+import subprocess
+import sys
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -338,6 +342,36 @@ def test_equal_seeds_agree_and_slices_make_no_difference(data, tmp_path):
     other = started(tmp_path / "other", data, Recipe(seed=4, steps=4, batch=1))
     assert other.run()
     assert not torch.allclose(next(other.network.parameters()), next(whole.network.parameters()), atol=1e-4)
+
+
+@pytest.mark.long
+@pytest.mark.slow
+def test_two_processes_train_as_one_does(data, tmp_path):
+    """They end within the spread of seeds; one writes; and they go on where they were stopped."""
+
+    def train(name, *words):
+        parallel = ("-m", "torch.distributed.run", "--nproc-per-node", "2", "-m", "gffe_cl", "train", tmp_path / name)
+        options = ("--data", data, "--clips", CLIPS, "--seed", 3, "--steps", 8, "--batch", 2, "--full-every", 8)
+        rates = ("--learning-rate", 3e-3, "--final-learning-rate", 1e-3)
+        command = [sys.executable, *map(str, (*parallel, *options, *rates, *words))]
+        done = subprocess.run(command, capture_output=True, text=True, env=os.environ | {"OMP_NUM_THREADS": "1"})
+        assert done.returncode == 0 and done.stdout.count("final error:") == 1, done.stderr
+        assert {path.name for path in (tmp_path / name).iterdir()} == {CHECKPOINT, "scn.onnx"}
+        return started(tmp_path / name, data, recipe)
+
+    recipe = replace(RECIPE, steps=8, batch=2)
+    stopped = train("parts", "--minutes", 1e-4)
+    assert 0 < stopped.step < 8
+    together, parts = train("whole"), train("parts")
+    assert together.step == parts.step == 8
+    assert_same_weights(together, parts)
+    alone = [started(tmp_path / f"alone{seed}", data, replace(recipe, seed=seed)) for seed in (3, 4, 5)]
+    crops = alone[0].crops[:8]
+    before = fixed_loss(alone[0], crops)["loss"]
+    assert all(training.run() for training in alone)
+    losses = [float(fixed_loss(training, crops)["loss"]) for training in alone]
+    spread = max(losses) - min(losses)
+    assert abs(fixed_loss(together, crops)["loss"] - losses[0]) < spread < before - max(losses)
 
 
 def assert_same_weights(one, other):
