@@ -109,7 +109,7 @@ INLINE void wide_flow(const Positions at, const Ints bits, const Floats z_source
     f.yx = wide_slope(x.up, x.here, x.down, up, down);
     f.yy = wide_slope(y.up, y.here, y.down, up, down);
     f.yz = sky ? none : wide_slope(z.up, z.here, z.down, up, down);
-    const Floats nearer = sky ? (Floats)(1.0f) : wide_divide(z_source, z.here);
+    const Floats nearer = (sky | ((bits & IN_LATTICE) != 0)) ? (Floats)(1.0f) : wide_divide(z_source, z.here);
     const Floats scale_x = zoom.x * nearer, scale_y = zoom.y * nearer;
     const Floats most = STRETCH_MOST * (scale_x > scale_y ? scale_x : scale_y);
     const Ints known_x = (left | right) & !(fabs(f.xx) > most) & !(fabs(f.xy) > most);

@@ -23,7 +23,7 @@ from gffe_cl.engine.stages.measures import SceneCuts, Sharpness, UserInterface
 from gffe_cl.engine.stages.network import Convolutions, NetworkInput
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs, ShadingTrend
 from gffe_cl.engine.stages.silhouettes import Silhouettes
-from gffe_cl.engine.stages.warp import BackwardBlocks, ColorCode, Connectivity, DilatedWarp, Warp
+from gffe_cl.engine.stages.warp import BackwardBlocks, ColorCode, Connectivity, DilatedWarp, Lattices, Warp
 from gffe_cl.engine.upscaling.stage import Upscaling
 
 # In the order in which they work, on rendered frames and on new ones.
@@ -34,6 +34,7 @@ STAGES: tuple[type[Stage], ...] = (
     Sharpness,
     Acceleration,
     Connectivity,
+    Lattices,
     PositionPrediction,
     BackwardBlocks,
     ColorCode,

@@ -306,6 +306,8 @@ class PositionPrediction(NearestStage):
                 "acceleration": "acceleration.acceleration",
                 "bend": "acceleration.bend",
                 "view_velocity": "acceleration.view_velocity",
+                "is_lattice": "lattices.is_lattice",
+                "layer": "lattices.plane",
             },
             {
                 "target_position": "prediction.target_position",

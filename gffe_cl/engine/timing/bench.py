@@ -38,6 +38,7 @@ PAPER = {
     "history": 337,
     "acceleration": None,
     "connectivity": None,
+    "lattices": None,
     "background, collection": 366,
     "prediction": 71,
     "backward_blocks": None,

@@ -1,0 +1,203 @@
+/* Lattices: fences of wire, nets and grids whose wires and gaps alternate at the pitch of pixels. Depth tells a wire
+   from what is behind by one sample per pixel, and splatting both apart shreds what antialiased colors show as one
+   pattern. So a block moves as one layer, in the plane of its wires, if depth steps often in both directions, what is
+   nearest around lies in a plane, nothing moves by itself, and that layer's motion explains the frame better from the
+   one before than the motion of each pixel does. */
+
+#include "frame.h"
+#include "blocks.h"
+#include "color_code.h"
+
+/* What set the thresholds: docs/deviations.md, "Lattices move as one layer". */
+#define LAYER_STEP 0.92f          /* ratio of depths at a step; what is within it of the nearest depth is near */
+#define LOOKED_AROUND 2            /* px around a block that are looked at; its neighbors have as many rows */
+#define LEAST_STEPS 44.0f   /* of 288 pixels of 3x3 blocks, in each direction */
+#define FEWEST_STEPS 6.0f   /* of a block that counts: more than a straight edge has */
+#define DENSE 16.0f         /* near pixels of a block's 32 whose gaps are not seen through */
+#define BETTER 0.6f         /* most error as one layer, of that as two, ... */
+#define BETTER_DENSE 0.8f   /* ... and in dense blocks */
+#define LEAST_BLOCKS 5      /* of 3x3 that determine the plane */
+#define WIDER 2             /* blocks to each side over which errors are compared */
+#define OFF_PLANE 0.01f     /* relative deviation of their inverse depths from it */
+
+/* Depths of a row's 8 pixels; of what has none, infinity. */
+INLINE float8 row_of(__global const float *p) {
+    const float8 z = vload8(0, p);
+    return z > 0.0f ? z : (float8)(INFINITY);
+}
+
+INLINE float count_of(const int8 is) {
+    const int4 half_sum = is.lo + is.hi;
+    const int2 sum = half_sum.lo + half_sum.hi;
+    return (float)-(sum.x + sum.y);
+}
+
+INLINE int8 is_step(const float8 a, const float8 b) { return fmin(a, b) < LAYER_STEP * fmax(a, b); }
+
+/* Brightness of a pixel's color code. */
+INLINE float code_luma(__global const half *color, const int px, const float offset) {
+    const float3 code = load_code(color, px, offset);
+    return code.x + code.y + code.z;
+}
+
+/* The squared difference of a pixel's brightness to that in the frame before where a static surface of depth z was;
+   negative where that was out of the image. */
+INLINE float unexplained(const int x, const int y, const float z, const float luma, __constant Frame *frame,
+                         __global const half *color_prev) {
+    const float3 before = reproject(pixel_center(x, y), z, frame->to_previous);
+    if (!lands(before, frame->source_width, frame->source_height)) return -1.0f;
+    const int px = (int)before.y * frame->source_width + (int)before.x;
+    const float error = luma - code_luma(color_prev, px, frame->code_offset);
+    return error * error;
+}
+
+/* One work-item per source block. layer: the mean (x, y, inverse depth) of its near pixels, and how many they are; -1
+   where something moves by itself. errors: what remains of the frame before along the motion of each pixel, times the
+   share that one layer may leave, and along that of one layer; then steps of depth across and down. */
+SPARSE __kernel void weigh_layers(__constant Frame *restrict frame, __global const float *depth,
+                                  __global const uchar *dynamic_mask, __global const half *color,
+                                  __global const half *color_prev, __global float4 *layer, __global float4 *errors) {
+    const int width = frame->source_width, height = frame->source_height;
+    const int bx = get_global_id(0), by = get_global_id(1), block = by * block_columns(width) + bx;
+    if (bx >= block_columns(width) || by >= block_rows(height)) return;
+    const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
+    float across = 0.0f, down = 0.0f;
+    const bool whole = x0 >= LOOKED_AROUND && y0 >= LOOKED_AROUND && x0 + BLOCK_WIDTH + LOOKED_AROUND <= width
+                       && y0 + BLOCK_HEIGHT + LOOKED_AROUND <= height;
+    if (whole && frame->has_previous && !frame->rests) {
+        float8 above = row_of(depth + (y0 - 1) * width + x0);
+        for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
+            const float8 row = row_of(depth + y * width + x0);
+            across += count_of(is_step(row, row_of(depth + y * width + x0 - 1)));
+            down += count_of(is_step(row, above));
+            above = row;
+        }
+    }
+    layer[block] = (float4)(0.0f);
+    errors[block] = (float4)(0.0f);
+    if (!(across + down >= FEWEST_STEPS)) return;
+
+    float8 nearest = (float8)(INFINITY);
+    uchar8 moves = (uchar8)(0);
+    for (int y = y0 - LOOKED_AROUND; y < y0 + BLOCK_HEIGHT + LOOKED_AROUND; ++y) {
+        __global const float *row = depth + y * width + x0;
+        nearest = fmin(nearest, fmin(row_of(row - LOOKED_AROUND), row_of(row + LOOKED_AROUND)));
+    }
+    for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) moves |= vload8(0, dynamic_mask + y * width + x0);
+    if (as_ulong(moves)) {
+        layer[block] = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
+        return;
+    }
+    const float4 of_four = fmin(nearest.lo, nearest.hi);
+    const float z_near = fmin(fmin(of_four.x, of_four.y), fmin(of_four.z, of_four.w));
+    float4 sum = (float4)(0.0f);
+    float apart = 0.0f, together = 0.0f;
+    for (int k = 0; k < BLOCK_WIDTH * BLOCK_HEIGHT; ++k) {
+        const int x = x0 + k % BLOCK_WIDTH, y = y0 + k / BLOCK_WIDTH, px = y * width + x;
+        const float z = depth[px];
+        if (!(z > 0.0f)) continue;
+        if (LAYER_STEP * z < z_near) sum += (float4)(pixel_center(x, y), divide(1.0f, z), 1.0f);
+        const float luma = code_luma(color, px, frame->code_offset);
+        const float as_two = unexplained(x, y, z, luma, frame, color_prev),
+                    as_one = unexplained(x, y, z_near, luma, frame, color_prev);
+        if (as_two < 0.0f || as_one < 0.0f) continue;
+        apart += as_two;
+        together += as_one;
+    }
+    if (sum.w > 0.0f) layer[block] = (float4)(mean_of(sum.xyz, sum.w), sum.w);
+    errors[block] = (float4)(apart * (sum.w >= DENSE ? BETTER_DENSE : BETTER), together, across, down);
+}
+
+/* Of block k of 3x3, the mean place of its near pixels from `center`, their inverse depth relative to the middle
+   block's, and how many they are. */
+INLINE float4 part_of(__global const float4 *layer, const int columns, const int k, const float2 center,
+                      const float per_own) {
+    const float4 there = layer[(k / 3 - 1) * columns + k % 3 - 1];
+    return (float4)(there.xy - center, there.z * per_own - 1.0f, there.w);
+}
+
+/* The plane through the near pixels of 3x3 blocks around the one at `layer`: inverse depth at `center`, and its slopes;
+   0 where they lie in none, or something there moves by itself. */
+INLINE float3 plane_of(__global const float4 *layer, const int columns, const float2 center) {
+    const float3 none = (float3)(0.0f);
+    const float per_own = divide(1.0f, layer[0].z);
+    float3 sum = none;
+    float count = 0.0f;
+    int blocks = 0;
+    for (int k = 0; k < 9; ++k) {
+        const float4 part = part_of(layer, columns, k, center, per_own);
+        if (part.w < 0.0f) return none;
+        sum += part.w * part.xyz;
+        count += part.w;
+        blocks += part.w > 0.0f;
+    }
+    const float3 mean = mean_of(sum, count);
+    float3 by_x = none, by_y = none; /* sums of the products with x, and with y */
+    for (int k = 0; k < 9; ++k) {
+        const float4 part = part_of(layer, columns, k, center, per_own);
+        const float3 off = part.xyz - mean;
+        by_x += part.w * off.x * off;
+        by_y += part.w * off.y * off;
+    }
+    const float det = by_x.x * by_y.y - by_x.y * by_y.x;
+    if (blocks < LEAST_BLOCKS || !(det > count * count)) return none;
+    const float along = divide(by_x.z * by_y.y - by_y.z * by_x.y, det),
+                down = divide(by_y.z * by_x.x - by_x.z * by_y.x, det);
+    for (int k = 0; k < 9; ++k) {
+        const float4 part = part_of(layer, columns, k, center, per_own);
+        const float3 off = part.xyz - mean;
+        if (part.w > 0.0f && !(fabs(off.z - along * off.x - down * off.y) <= OFF_PLANE)) return none;
+    }
+    const float at_center = 1.0f + mean.z - along * mean.x - down * mean.y;
+    const bool is_before = at_center > 0.5f * (float)BLOCK_WIDTH * (fabs(along) + fabs(down));
+    return is_before ? layer[0].z * (float3)(at_center, along, down) : none;
+}
+
+/* One work-item per source block. is_lattice: 1 where it moves as one layer; plane: that layer's inverse depth at the
+   block's center, and its slopes per pixel. */
+SPARSE __kernel void find_lattices(__constant Frame *restrict frame, __global const float4 *layer,
+                                   __global const float4 *errors, __global uchar *is_lattice, __global float4 *plane) {
+    const int columns = block_columns(frame->source_width), rows = block_rows(frame->source_height);
+    const int bx = get_global_id(0), by = get_global_id(1), block = by * columns + bx;
+    if (bx >= columns || by >= rows) return;
+    is_lattice[block] = 0;
+    if (!(layer[block].w > 0.0f) || bx == 0 || by == 0 || bx == columns - 1 || by == rows - 1) return;
+    float apart = 0.0f, together = 0.0f;
+    float2 steps = (float2)(0.0f);
+    for (int y = max(by - WIDER, 0); y <= min(by + WIDER, rows - 1); ++y)
+        for (int x = max(bx - WIDER, 0); x <= min(bx + WIDER, columns - 1); ++x) {
+            const float4 there = errors[y * columns + x];
+            apart += there.x;
+            together += there.y;
+            if (abs(x - bx) <= 1 && abs(y - by) <= 1) steps += there.zw;
+        }
+    if (!(together < apart && steps.x >= LEAST_STEPS && steps.y >= LEAST_STEPS)) return;
+    const float2 center = ((float2)((float)bx, (float)by) + 0.5f) * (float2)((float)BLOCK_WIDTH, (float)BLOCK_HEIGHT);
+    const float3 found = plane_of(layer + block, columns, center);
+    if (!(found.x > 0.0f)) return;
+    is_lattice[block] = 1;
+    plane[block] = (float4)(found, 0.0f);
+}
+
+/* Links pixels of lattices with each other, and with no others. One work-item per source block. */
+SPARSE __kernel void link_lattices(__constant Frame *restrict frame, __global const uchar *is_lattice,
+                                   __global uchar *links) {
+    const int width = frame->source_width, columns = block_columns(width), rows = block_rows(frame->source_height);
+    const int bx = get_global_id(0), by = get_global_id(1), block = by * columns + bx;
+    if (bx >= columns || by >= rows) return;
+    const uchar own = is_lattice[block];
+    const int left = bx > 0 ? is_lattice[block - 1] : 0, right = bx < columns - 1 ? is_lattice[block + 1] : 0,
+              up = by > 0 ? is_lattice[block - columns] : 0, down = by < rows - 1 ? is_lattice[block + columns] : 0;
+    if (!(own | left | right | up | down)) return;
+    const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
+    for (int y = y0; y < min(y0 + BLOCK_HEIGHT, frame->source_height); ++y)
+        for (int x = x0; x < min(x0 + BLOCK_WIDTH, width); ++x) {
+            const int of_lattices = (x == x0 && !left ? 0 : LINK_LEFT) | (y == y0 && !up ? 0 : LINK_UP)
+                                    | (x == x0 + BLOCK_WIDTH - 1 && !right ? 0 : LINK_RIGHT)
+                                    | (y == y0 + BLOCK_HEIGHT - 1 && !down ? 0 : LINK_DOWN);
+            const int to_others = (x == x0 && left ? 0 : LINK_LEFT) | (y == y0 && up ? 0 : LINK_UP)
+                                  | (x == x0 + BLOCK_WIDTH - 1 && right ? 0 : LINK_RIGHT)
+                                  | (y == y0 + BLOCK_HEIGHT - 1 && down ? 0 : LINK_DOWN);
+            links[y * width + x] = own ? IN_LATTICE | of_lattices : links[y * width + x] & to_others;
+        }
+}
