@@ -110,7 +110,7 @@ LEDGER = {
     "viewer": 12_798,
     "kernels": 10_463,
     "tests": 29_041,
-    "docs/tools": 4_177,
+    "docs/tools": 4_254,
     "docs/examples": 1_884,
     "docs/*.md": 4_449,
 }
