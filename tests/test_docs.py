@@ -206,6 +206,14 @@ def test_tables_of_results_are_those_of_the_record():
     assert all(any(f"<!-- {table}:begin -->\n|" in page for page in pages) for table in TABLES)
 
 
+def test_tables_of_deviations_are_those_of_the_record():
+    from measure_deviations import with_tables
+    from pages import recorded
+
+    page = TEXTS["docs/deviations.md"]
+    assert with_tables(page, recorded("deviations")) == page, "run python docs/tools/measure_deviations.py --write"
+
+
 def test_the_reference_has_everything_public():
     listed = re.findall(r"^\.\. (?:auto|py:)\w+:: gffe_cl\.(\w+)$", TEXTS["docs/api.md"], re.M)
     assert sorted([*listed, "__version__"]) == sorted(gffe_cl.__all__)

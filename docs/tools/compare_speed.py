@@ -33,7 +33,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 import numpy as np
-from pages import REPOSITORY
+from pages import REPOSITORY, checkout
 
 if TYPE_CHECKING:
     from gffe_cl.engine.timing.footage import FrameLoop, Turn
@@ -164,15 +164,12 @@ class Version:
 # ---- both ----------------------------------------------------------------------------------------------------
 
 
-def checkout(version: str, folder: Path) -> Path:
+def folder_of(version: str, folder: Path) -> Path:
     """Return the folder of a checkout: `version` itself if it is one, else that commit's files, put into `folder`."""
     if Path(version).is_dir():
         return Path(version).resolve()
     folder.mkdir()
-    archive = subprocess.run(["git", "-C", str(REPOSITORY), "archive", version], capture_output=True)
-    if archive.returncode:
-        sys.exit(f"error: {version}: neither a folder nor a commit of {REPOSITORY}: {archive.stderr.decode().strip()}")
-    subprocess.run(["tar", "-x", "-C", str(folder)], input=archive.stdout, check=True)
+    checkout(version, folder)
     return folder
 
 
@@ -292,7 +289,7 @@ def main() -> None:
     reports = []
     with tempfile.TemporaryDirectory(prefix="compare_speed_") as temporary:
         folder = Path(temporary)
-        trees = [checkout(asked.old, folder / "old"), checkout(asked.new, folder / "new")]
+        trees = [folder_of(asked.old, folder / "old"), folder_of(asked.new, folder / "new")]
         subjects = asked.scene or [SCENE]
         for number, (subject, name) in enumerate((s, d) for s in subjects for d in asked.device or [None]):
             device = open_device(name)

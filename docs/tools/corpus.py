@@ -7,9 +7,8 @@ from __future__ import annotations
 
 import hashlib
 import inspect
+import io
 import os
-import shutil
-import time as clock
 import tomllib
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
@@ -22,11 +21,10 @@ from gffe_cl.captures.scenes import SCENES, SITUATIONS, SceneRenderer, is_scene_
 from gffe_cl.captures.scenes.renderer import FlatScene
 from gffe_cl.captures.scenes.scene_types import Scene, rotation
 from gffe_cl.captures.sequence.encoding import Encoding
-from gffe_cl.engine.core.files import replacing
 from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import RenderedFrame
 from gffe_cl.engine.opencl.device import Device
-from gffe_cl.engine.opencl.runtimes import cache_folder
+from gffe_cl.engine.opencl.runtimes import cache_folder, keep_file
 from gffe_cl.lab.compare import NO_HISTORY
 from gffe_cl.lab.metrics import focus_mask, labels_of
 from gffe_cl.lab.table.footage import Guide, Shot, exact_parts, moving_pixels
@@ -35,7 +33,7 @@ from gffe_cl.lab.table.methods import sample
 SIZE = 240, ROWS
 ALPHAS = 0.5, 1.0
 CACHE = cache_folder() / "quality"
-_STALE = 14 * 86400  # seconds since the last use after which a cached file goes
+MOST_SEQUENCES = 300  # in the cache, 6 MB each
 _SCENES = "gffe_cl/captures/scenes"
 _SOURCES = "kernels/scenes", f"{_SCENES}/scene_types.py", f"{_SCENES}/props.py"  # of all sequences
 
@@ -136,9 +134,9 @@ def rendered(line: Line, device: Device) -> Path:
     if path.exists():
         path.touch()
         return path
-    CACHE.mkdir(exist_ok=True)
-    with replacing(path) as part, open(part, "wb") as file:
-        np.savez_compressed(file, **_render(line, device))
+    stored = io.BytesIO()
+    np.savez_compressed(stored, **_render(line, device))
+    keep_file(path, stored.getvalue(), "corpus-*.npz", MOST_SEQUENCES)
     return path
 
 
@@ -188,10 +186,3 @@ def _render(line: Line, device: Device) -> dict[str, np.ndarray]:
 def _flat(camera: Camera) -> np.ndarray:
     """Return a camera as 20 numbers: the matrix, row by row, then fx, fy, cx, cy."""
     return np.array([*camera.world_to_view.ravel(), camera.fx, camera.fy, camera.cx, camera.cy])
-
-
-def prune() -> None:
-    """Delete cached files and folders that were not used for two weeks."""
-    for path in CACHE.glob("c*-*"):
-        if clock.time() - path.stat().st_mtime > _STALE:
-            shutil.rmtree(path) if path.is_dir() else path.unlink()

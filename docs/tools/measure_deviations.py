@@ -1,7 +1,7 @@
 """Gain of each deviation from the paper on the corpus.
 
-    python docs/tools/measure_deviations.py             prints the tables of docs/deviations.md
-    python docs/tools/measure_deviations.py --write     puts them there, and all figures into measured/deviations.json
+    python docs/tools/measure_deviations.py             prints the figures of docs/deviations.md, in 20 minutes
+    python docs/tools/measure_deviations.py --write     puts them there, and into docs/measured
 
 Each row takes the paper's way in one point and keeps everything else: by an option of the pipeline where there is one,
 else by a change to a copy of the kernels. All sequences of the group "scenes" are pooled: PSNR of the mean squared
@@ -11,15 +11,17 @@ error of display values. Figures are cached, as by `quality.py`.
 from __future__ import annotations
 
 import argparse
+import json
 import re
 import shutil
 import tempfile
 from collections.abc import Iterable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
+from typing import Any
 
 from corpus import Line, corpus_lines, rendered
-from pages import REPOSITORY, table, write_record, write_tables
+from pages import DOCS, REPOSITORY, table, with_all, write_record
 from quality import VARIANTS, Side, cells_of, show_progress, signed
 
 from gffe_cl.engine.opencl.device import open_device
@@ -174,6 +176,17 @@ FOR_SITUATIONS: dict[str, tuple[str, Change]] = {
 }
 
 
+PAGE = DOCS / "deviations.md"
+WAYS = "the paper's way", "all", "all but that part"
+_GAIN = "gain in dB, PSNR over"
+HEADS = {
+    "gae": (_GAIN, *PARTS_OF_FRAME),
+    "parts": ("gain in dB", *(f"{part}, α = {alpha}" for part in PARTS for alpha in ("½", "1"))),
+    "scn": (_GAIN, *PARTS_OF_FRAME),
+    "situations": ("PSNR, dB", *(f"{way}, α = {alpha}" for alpha in ("½", "1") for way in WAYS)),
+    "encodings": ("sequence, encoding", "against exact buffers, dB", "against the best fixed ε, dB"),
+}
+PLAIN = "levels", "situations"  # parts of the record that are no gains
 FIXED = (1.0, 1.4, 2.0, 2.8, 4.0)  # pixels: static thresholds to compare the automatic one with
 
 
@@ -202,84 +215,76 @@ def pooled(cells: Iterable[dict], variant: str, part: str = "whole frame") -> tu
     return decibels(total / max(count, 1)), count
 
 
-def gains(cells: dict[str, dict], variant: str) -> dict[str, dict[str, float]]:
-    """Return by how many dB the first of `cells`, by name, is better than each other one, by part of the frame."""
-    ours, *names = cells
-    return {
-        name: {
-            part: pooled(cells[ours].values(), variant, part)[0] - pooled(cells[name].values(), variant, part)[0]
-            for part in PARTS_OF_FRAME
-        }
-        for name in names
+def gains(cells: dict[str, dict], variant: str) -> dict[str, list[float]]:
+    """Return by how many dB the first of `cells`, by name, is better than each other one, for `PARTS_OF_FRAME`."""
+    levels = {name: [pooled(of.values(), variant, part)[0] for part in PARTS_OF_FRAME] for name, of in cells.items()}
+    ours, *names = levels
+    return {name: [round(a - b, 3) for a, b in zip(levels[ours], levels[name], strict=True)] for name in names}
+
+
+def measured() -> dict[str, dict[str, Any]]:
+    """Return the figures of the tables: by table and row."""
+    groups = "scenes", "situations", "encoded"
+    scenes, situations, encoded = ([line for line in corpus_lines() if line.group == group] for group in groups)
+    measure, record = Measure([*scenes, *situations, *encoded]), {}
+
+    ways = {"": Change(), **GAE, "**all of these together**": PAPER}
+    ways |= {f"{name} (against: {other})": change for name, (change, other) in CHOICES.items()}
+    cells = {name: measure.cells(name, change | NO_NETWORK, scenes) for name, change in ways.items()}
+    levels = [pooled(cells[""].values(), HALF_GAE, part) for part in PARTS_OF_FRAME]
+    record["levels"] = {
+        "share of the pixels, %": [round(100 * count / levels[0][1], 1) for _, count in levels],
+        "PSNR with all of these, dB": [round(level, 2) for level, _ in levels],
     }
+    record["gae"] = gains(cells, HALF_GAE)
+    record["parts"] = {}
+    for scene in dict.fromkeys(line.generator for line in scenes):
+        of = {name: {k: v for k, v in cells[name].items() if k.startswith(f"{scene}:")} for name in ("", *PARTS)}
+        half, whole = (gains(of, variant) for variant in (HALF_GAE, WHOLE_GAE))
+        record["parts"][scene] = [value for part in PARTS for value in (half[part][0], whole[part][0])]
+
+    ways = {"": Change(), **SCN}
+    record["scn"] = gains({name: measure.cells(name, change, scenes) for name, change in ways.items()}, HALF)
+
+    record["situations"] = {}
+    for name, (part, without) in FOR_SITUATIONS.items():
+        of = [line for line in situations if line.generator == name]
+        ways = PAPER | NO_NETWORK | Change({"camera_order": 1}), Change(), without
+        found = [measure.cells(f"{name}, {way}", change, of) for way, change in zip(WAYS, ways, strict=True)]
+        levels = [pooled(cells.values(), variant)[0] for variant in (HALF, WHOLE) for cells in found]
+        record["situations"][f"`{name}`: {part}"] = [round(level, 2) for level in levels]
+
+    record["encodings"] = {}
+    thresholds = {value: Change({"static_threshold": value}) | NO_NETWORK for value in (None, *FIXED)}
+    found = {value: measure.cells(f"ε {value}", change, encoded) for value, change in thresholds.items()}
+    psnr = {value: {name: cell[HALF_GAE]["psnr"] for name, cell in of.items()} for value, of in found.items()}
+    for line in encoded:
+        best = max(psnr[value][line.name] for value in FIXED)
+        own, exact = psnr[None][line.name], psnr[None][f"{line.generator}:{line.seed}, exact"]
+        record["encodings"][line.name] = [round(own - other, 3) for other in (exact, best)]
+    show_progress("")
+    return record
 
 
-def gains_table(found: dict[str, dict[str, float]], first: Iterable[Iterable[str]] = ()) -> str:
-    rows = [(name, *map(signed, values.values())) for name, values in found.items()]
-    return table(("gain in dB, PSNR over", *PARTS_OF_FRAME), [*first, *rows])
+def with_tables(page: str, record: dict[str, Any]) -> str:
+    """Return docs/deviations.md with the tables of a record."""
+    rows = {name: [(row, *map(signed, values)) for row, values in record[name].items()] for name in HEADS}
+    plain = {name: [(row, *(f"{v:.2f}" for v in values)) for row, values in record[name].items()] for name in PLAIN}
+    rows["gae"][:0] = plain["levels"]
+    rows["situations"] = plain["situations"]
+    return with_all(page, {name: table(heads, rows[name]) for name, heads in HEADS.items()})
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--write", action="store_true", help="into docs/deviations.md and docs/measured")
     given = parser.parse_args()
-    scenes = [line for line in corpus_lines() if line.group == "scenes"]
-    situations = [line for line in corpus_lines() if line.group == "situations"]
-    encoded = [line for line in corpus_lines() if line.group == "encoded"]
-    measure = Measure(scenes + situations + encoded)
-
-    ways = {"": Change(), **GAE, "**all of these together**": PAPER}
-    ways |= {f"{name} (against: {other})": change for name, (change, other) in CHOICES.items()}
-    cells = {name: measure.cells(name, change | NO_NETWORK, scenes) for name, change in ways.items()}
-    levels = [pooled(cells[""].values(), HALF_GAE, part) for part in PARTS_OF_FRAME]
-    first = [
-        ("share of the pixels", *(f"{count / levels[0][1]:.1%}" for _, count in levels)),
-        ("PSNR with all of these, dB", *(f"{level:.2f}" for level, _ in levels)),
-    ]
-    record = {"gae": gains(cells, HALF_GAE)}
-    tables = {"gae": gains_table(record["gae"], first)}
-
-    record["parts"], rows = {}, []
-    for scene in dict.fromkeys(line.generator for line in scenes):
-        of = {name: {k: v for k, v in cells[name].items() if k.startswith(f"{scene}:")} for name in ("", *PARTS)}
-        by_alpha = [gains(of, variant) for variant in (HALF_GAE, WHOLE_GAE)]
-        values = record["parts"][scene] = {part: [found[part]["whole frame"] for found in by_alpha] for part in PARTS}
-        rows.append((scene, *(", ".join(map(signed, pair)) for pair in values.values())))
-    tables["parts"] = table(("gain in dB, α = ½, 1", *PARTS), rows)
-
-    with_network = {name: measure.cells(name, change, scenes) for name, change in ({"": Change()} | SCN).items()}
-    record["scn"] = gains(with_network, HALF)
-    tables["scn"] = gains_table(record["scn"])
-
-    record["situations"], rows = {}, []
-    for name, (part, without) in FOR_SITUATIONS.items():
-        of = [line for line in situations if line.generator == name]
-        paper = PAPER | NO_NETWORK | Change({"camera_order": 1})
-        ways = {"the paper's way": paper, "all": Change(), "all but that part": without}
-        found = {way: measure.cells(f"{name}, {way}", change, of) for way, change in ways.items()}
-        values = [pooled(found[way].values(), variant)[0] for variant in (HALF, WHOLE) for way in ways]
-        record["situations"][name] = values
-        rows.append((f"`{name}`", part, *(f"{value:.2f}" for value in values)))
-    heads = [f"{way}, α = {alpha}" for alpha in ("½", "1") for way in ways]
-    tables["situations"] = table(("PSNR, dB", "part", *heads), rows)
-
-    record["encodings"], rows = {}, []
-    thresholds = {value: Change({"static_threshold": value}) | NO_NETWORK for value in (None, *FIXED)}
-    found = {value: measure.cells(f"ε {value}", change, encoded) for value, change in thresholds.items()}
-    levels = {v: {name: cell[HALF_GAE]["psnr"] for name, cell in of.items()} for v, of in found.items()}
-    for line in encoded:
-        best = max(levels[value][line.name] for value in FIXED)
-        own, exact = levels[None][line.name], levels[None][f"{line.generator}:{line.seed}, exact"]
-        values = record["encodings"][line.name] = [own, own - exact, own - best]
-        rows.append((line.name, f"{values[0]:.2f}", *map(signed, values[1:])))
-    heads = "sequence, encoding", "PSNR, dB", "against exact buffers, dB", "against the best fixed ε, dB"
-    tables["encodings"] = table(heads, rows)
-
-    show_progress("")
-    print("\n\n".join(tables.values()))
-    if given.write:
-        write_tables("deviations.md", tables)
-        write_record("deviations", record)
+    record = measured()
+    if not given.write:
+        print(json.dumps(record, indent=1, ensure_ascii=False))
+        return
+    write_record("deviations", record)
+    PAGE.write_text(with_tables(PAGE.read_text("utf-8"), record), "utf-8")
 
 
 if __name__ == "__main__":

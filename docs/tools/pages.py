@@ -50,6 +50,16 @@ def stale_records() -> Iterator[str]:
             yield f"{path.name}: {len(later)} commits to kernels and stages since {commit}"
 
 
+def checkout(commit: str, folder: Path, *names: str) -> None:
+    """Put the files of a commit, or only those under `names`, into a folder. Exits with code 2 if there is no such
+    commit."""
+    archive = subprocess.run(["git", "-C", REPOSITORY, "archive", commit, *names], capture_output=True)
+    if archive.returncode:
+        print(f"error: {commit}: neither a folder nor a commit: {archive.stderr.decode().strip()}", file=sys.stderr)
+        sys.exit(2)
+    subprocess.run(["tar", "-x", "-C", folder], input=archive.stdout, check=True)
+
+
 def _git(*words: str) -> str:
     return subprocess.run(["git", "-C", REPOSITORY, *words], check=True, capture_output=True, text=True).stdout
 

@@ -21,9 +21,11 @@ from __future__ import annotations
 
 import argparse
 import ast
+import atexit
 import hashlib
 import json
 import os
+import shutil
 import subprocess
 import sys
 import tempfile
@@ -34,18 +36,19 @@ from dataclasses import dataclass, field
 from pathlib import Path
 
 import numpy as np
-from corpus import ALPHAS, CACHE, Line, corpus_lines, digest_of, prune, rendered
-from pages import REPOSITORY, table, write_record
+from corpus import ALPHAS, CACHE, Line, corpus_lines, digest_of, rendered
+from pages import REPOSITORY, checkout, table, write_record
 
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.core.files import replacing
 from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.engine.opencl.runtimes import keep_file
 from gffe_cl.lab.metrics import LUMA, METRICS, REGIONS, RegionErrors, decibels, masks, to_display
 
 VARIANTS = tuple(f"α {'½' if alpha == 0.5 else '1'}{end}" for alpha in ALPHAS for end in ("", ", no network"))
 WORSE_GROUP, WORSE_SEQUENCE, CHANGED = 0.01, 0.05, 0.01  # dB
 _VERSION = 1  # of cells
 _SOURCES = "gffe_cl/__init__.py", "gffe_cl/engine", "kernels"
+MOST_CELLS = 20_000  # in the cache, 6 kB each
 _EXTREMES = 5  # sequences named as the best and the worst
 KERNELS = os.environ.pop("GFFE_KERNELS", None)  # of the working tree; the corpus is rendered with its own
 
@@ -89,20 +92,15 @@ class Side:
 
 def _export(commit: str) -> tuple[str, Path]:
     """Return the short hash of a commit, and a folder with its sources. Raises GffeError if there is none."""
-
-    def git(*words: str) -> bytes:
-        found = subprocess.run(["git", "-C", REPOSITORY, *words], capture_output=True)
-        if found.returncode:
-            raise GffeError(f"{commit}: expected a commit, '.', a folder of kernels, or NAME=VALUE")
-        return found.stdout
-
-    trees = b" ".join(git("rev-parse", "--verify", f"{commit}:{name}").strip() for name in ("gffe_cl", "kernels"))
-    folder = CACHE / f"commit-{hashlib.sha256(trees).hexdigest()[:24]}"
-    if not folder.exists():
-        part = Path(tempfile.mkdtemp(prefix="commit-", dir=CACHE))
-        subprocess.run(["tar", "-x", "-C", part], input=git("archive", commit, "gffe_cl", "kernels"), check=True)
-        part.rename(folder)
-    return git("rev-parse", "--short", commit).decode().strip(), folder
+    command = ("git", "-C", REPOSITORY, "rev-parse", "--verify", f"{commit}^{{commit}}")
+    found = subprocess.run(command, capture_output=True, text=True)
+    if found.returncode:
+        raise GffeError(f"{commit}: expected a commit, '.', a folder of kernels, or NAME=VALUE")
+    full = found.stdout.strip()
+    folder = Path(tempfile.mkdtemp(prefix=f"gffe-{full[:8]}-"))
+    atexit.register(shutil.rmtree, folder, ignore_errors=True)
+    checkout(commit, folder, "gffe_cl", "kernels")
+    return full[:8], folder
 
 
 # ---- cells --------------------------------------------------------------------------------------------------------
@@ -122,8 +120,7 @@ def cells_of(side: Side, lines: list[Line], files: dict[str, Path], progress: Ca
                 if stopped.is_set():
                     break
                 cell = measured(files[line.name], process.make(files[line.name], line.camera == "known"))
-                with replacing(paths[line.name]) as part:
-                    part.write_text(json.dumps(cell), "utf-8")
+                keep_file(paths[line.name], json.dumps(cell).encode(), "cell-*.json", MOST_CELLS)
                 done.append(line)
                 progress(f"{side.text}: {len(done)} of {len(missing)} sequences")
 
@@ -325,8 +322,6 @@ def main() -> int:
     parser.add_argument("--quick", action="store_true", help="only the sequences that the corpus marks as quick")
     parser.add_argument("--write", metavar="SLUG", help="also store both sides' values in docs/measured")
     given = parser.parse_args()
-    CACHE.mkdir(exist_ok=True)
-    prune()
     lines, device, files = chosen_lines(given.groups, given.quick), open_device(None), {}
     sides = Side.parse(given.before), Side.parse(given.after)
     for k, line in enumerate(lines):
