@@ -152,7 +152,6 @@ SCN: dict[str, Change] = {
             "warped_previous.h": {
                 "float tolerance = SAME_SURFACE *": "float tolerance = 1e30f *",
                 "Floats tolerance = SAME_SURFACE *": "Floats tolerance = 1e30f *",
-                "most - least <= SAME_SURFACE * mean": "true",
             }
         }
     ),
