@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 38_390,
     "viewer": 12_798,
     "kernels": 10_463,
-    "tests": 29_049,
+    "tests": 29_052,
     "docs/tools": 4_251,
     "docs/examples": 1_884,
     "docs/*.md": 4_460,
