@@ -283,8 +283,8 @@ def run_on_worker(output: Path, path: Path, target: str, device: str | None, win
     from gffe_cl.captures.formats import open_capture
     from gffe_cl.captures.offline.run import run_sequence
     from gffe_cl.captures.offline.source import Recorded
+    from gffe_cl.engine.opencl.device import device_of_process
     from gffe_cl.engine.options import Options
-    from gffe_cl.lab.cluster import device_of_process
 
     model = options.pop("scn_model")
     chosen = Options(**options, scn_model=model and str(model))

@@ -133,7 +133,7 @@ def rendered(output: Path, scene: str, seed: int, size, jitter: str, encode, dev
     from gffe_cl.captures.scenes import load_scene
     from gffe_cl.captures.scenes.renderer import render_sequence
     from gffe_cl.engine.frame.window import Jitter
-    from gffe_cl.lab.cluster import device_of_process
+    from gffe_cl.engine.opencl.device import device_of_process
 
     rest |= {"jitter": Jitter.parse(jitter), "encoding": parse_encoding(encode), "part": part and range(*part)}
     opened = device_of_process(device) if device is None or isinstance(device, str) else device

@@ -8,11 +8,9 @@ import json
 import logging
 import os
 import threading
-import uuid
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack
-from functools import lru_cache
 from pathlib import Path
 from pkgutil import resolve_name
 from tempfile import TemporaryDirectory
@@ -22,7 +20,6 @@ from typing import Any
 from gffe_cl.engine.core.errors import GffeError, require_packages
 from gffe_cl.engine.core.files import Files, packed_files, unpack
 from gffe_cl.engine.core.public_names import __version__
-from gffe_cl.engine.opencl.device import Device, open_device
 from gffe_cl.engine.opencl.program import package_digest
 
 _PATH = "gffe path"  # key of a path in arguments
@@ -59,9 +56,14 @@ class Cluster(ExitStack):
             self.close()
             why = f"{type(error).__name__} (expected tls://HOST:8786, the file of a scheduler, or local:N)"
             raise GffeError(f"--scheduler {scheduler}: no Dask scheduler answers, {why}") from None
-        self._run, self._sent, self._workers = uuid.uuid4().hex, {}, set()
+        self._sent, self._workers = {}, set()
         self._connecting, self._since = monotonic() - begun, monotonic()
         self._cells = self._there = self._back = 0
+
+    def __exit__(self, kind, *rest):
+        if kind is KeyboardInterrupt:  # nobody waits for workers: those of this process end with it
+            self.pop_all()
+        return super().__exit__(kind, *rest)
 
     def summary(self) -> str:
         """Return a line on the cells so far: how many, how many a minute, and their bytes both ways."""
@@ -102,7 +104,7 @@ class Cluster(ExitStack):
 
         text = json.dumps(arguments, default=as_sent)
         self._sent, self._there = used, self._there + len(text)
-        return self._client.submit(_on_worker, program(), self._run, name, text, used, pure=False)
+        return self._client.submit(_on_worker, program(), self._client.id, name, text, used, pure=False)
 
     def _taken(self, future: Any) -> tuple[Any, Files]:
         try:
@@ -145,9 +147,3 @@ def _copy(run: str, path: str, packed: Files) -> Path:
 def program() -> str:
     """Return the version of this program, with a hash of everything in it that results depend on."""
     return f"{__version__} ({package_digest()[:12]})"
-
-
-@lru_cache(maxsize=1)
-def device_of_process(name: str | None) -> Device:
-    """Return the device of that name, opened once, with profiling."""
-    return open_device(name, profiling=True)

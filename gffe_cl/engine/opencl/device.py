@@ -13,7 +13,7 @@ import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
-from functools import cached_property
+from functools import cached_property, lru_cache
 from mmap import PAGESIZE
 from typing import Any, TypeVar
 from weakref import WeakValueDictionary
@@ -383,6 +383,12 @@ def open_device(wanted: str | None = None, profiling: bool = False) -> Device:
         if age is None or any(opened.process not in (None, _process) for opened in _opened.values()):
             raise
     return open_info(_choose(list_devices(refresh=True), wanted, origin), profiling)
+
+
+@lru_cache(maxsize=1)
+def device_of_process(name: str | None) -> Device:
+    """Return the device of that name with `profiling`, opened once: of a process that works for a long time."""
+    return open_device(name, profiling=True)
 
 
 def _choose(infos: list[DeviceInfo], wanted: str | None, origin: str) -> DeviceInfo:

@@ -29,8 +29,9 @@ import numpy as np
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded, replacing
 from gffe_cl.engine.core.public_names import __version__
+from gffe_cl.engine.opencl.device import device_of_process
 from gffe_cl.engine.opencl.program import package_digest
-from gffe_cl.lab.cluster import Cluster, device_of_process
+from gffe_cl.lab.cluster import Cluster
 from gffe_cl.lab.metrics import (
     METRICS,
     REGIONS,

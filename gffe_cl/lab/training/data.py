@@ -19,12 +19,12 @@ from gffe_cl.captures.scenes import SceneFrames, SceneRenderer, load_scene
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import write_text
 from gffe_cl.engine.frame.rendered_frame import HALF_MAX
-from gffe_cl.engine.opencl.device import Device
+from gffe_cl.engine.opencl.device import Device, device_of_process
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.shading import TREND_PLANES, spacing_of
-from gffe_cl.lab.cluster import Cluster, device_of_process
+from gffe_cl.lab.cluster import Cluster
 from gffe_cl.lab.metrics import FOCUS_SMAPE, focus_mask, relative_error, shading_regions
 from gffe_cl.lab.training.domain_randomization import vary_scene
 from gffe_cl.lab.training.network import decode, encode, halve
