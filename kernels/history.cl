@@ -6,6 +6,7 @@
 #include "blocks.h"
 #include "encode.h"
 #include "scene_cuts.h"
+#include "sharpness.h"
 #include "thresholds.h"
 
 /* What set the thresholds: docs/deviations.md, "Quantized motion is measured", "The surface met at x' is checked",
@@ -22,6 +23,7 @@
 #define HISTOGRAMS 8 /* of residuals, of their changes, of steps by STEP_CLASSES, and of excess by LOOKUPS */
 #define EXCESS ((HISTOGRAMS - LOOKUPS) * RESIDUAL_BINS) /* index of the first of excess */
 #define ARRIVED (HISTOGRAMS * RESIDUAL_BINS) /* index of the number of work-groups that have added their counts */
+#define SHARP (ARRIVED + 1) /* index of what sharpness.h adds up */
 #define STEP_CLASSES 4 /* steps of motion in x where it is not negative, in x where it is, and the same for y */
 #define STEP_FIRST 0x3e8 /* bits of 0.25 >> 20: the least step in px that counts; less is finer than any threshold */
 #define STEP_NONE 0.0009765625f /* px: less is no step at all, but rounding */
@@ -227,17 +229,17 @@ INLINE int lookups_of(__local const int *histogram) {
 }
 
 /* Measures a subset of the pixels, before anything else is done with a rendered frame. The first row of
-   work-groups writes its block. The next SAMPLES_Y count the samples of a cut: cut_counts[row * COUNTS + what].
-   The others make histograms: of the squared residual, two bins per octave, of its squared change over a short
-   distance, of every fourth of their pixels, of the steps of motion over that distance, and of the squared excess over
-   errors of quantization by the steps of the frame before. From them the last work-group finds the threshold, these
-   errors, and the steps for the next frame. */
+   work-groups writes its block. The next SAMPLES_Y, a sample per work-item, count those of a cut, cut_counts[row *
+   COUNTS + what], and the last of them finds the sharpness. The others make histograms: of the squared residual, two
+   bins per octave, of its squared change over a short distance, of every fourth of their pixels, of the steps of motion
+   over that distance, and of the squared excess over errors of quantization by the steps of the frame before. From them
+   the last work-group finds the threshold, these errors, and the steps for the next frame. */
 WIDE __kernel __attribute__((reqd_work_group_size(COUNT_GROUP, 1, 1))) void
 measure_samples(const Frame given, __global Frame *frame, __global const half *color, __global const float *depth,
                 __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
                 __global const float *steps_prev, __global int *cut_counts, __global int *pending,
                 __global int *histogram, __global float *threshold_squared, __global float *motion_steps,
-                __global float *quantization_error) {
+                __global float *quantization_error, __global float *sharpness) {
     const int width = given.source_width, height = given.source_height, item = get_local_id(0);
     const int row = (int)get_global_id(1) - (SAMPLES_Y + 1), first = row * RESIDUAL_ROWS * RESIDUAL_STRIDE;
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], is_last;
@@ -245,14 +247,21 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
         if (get_global_id(0) == 0) *frame = given;
         return;
     }
-    if (row < 0 ? !given.detects || get_group_id(0) > 0 : !given.automatic) return;
+    if (row < 0 ? get_group_id(0) > 0 : !given.automatic) return;
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += COUNT_GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
     if (row < 0) {
-        count_sample(item, row + SAMPLES_Y, width, height, given.camera_step, given.to_previous, color, depth, motion,
-                     color_prev, depth_prev, counts);
+        const int of_samples = row + SAMPLES_Y, groups = min(height, SAMPLES_Y);
+        if (given.detects)
+            count_sample(item, of_samples, width, height, given.camera_step, given.to_previous, color, depth, motion,
+                         color_prev, depth_prev, counts);
+        if (given.sharpness && of_samples < groups)
+            compare_sample(item, of_samples, width, height, given.code_offset, given.to_previous, color, depth, motion,
+                           color_prev, depth_prev, counts + COUNTS);
         barrier(CLK_LOCAL_MEM_FENCE);
-        if (item < COUNTS) cut_counts[(row + SAMPLES_Y) * COUNTS + item] = counts[item];
+        if (given.detects && item < COUNTS) cut_counts[of_samples * COUNTS + item] = counts[item];
+        if (given.sharpness && of_samples < groups && item == 0)
+            find_sharpness(counts + COUNTS, groups, pending + SHARP, sharpness);
         return;
     }
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;

@@ -23,11 +23,12 @@ typedef struct {
     Sharpening sharpening;
 } Rendered;
 
-/* `measured`: the sharpness of rendered frames (sharpness.cl), if any is. */
+/* `measured`: the sharpness of rendered frames (sharpness.h), if any is. */
 INLINE Rendered rendered_of(__constant Frame *frame, __global const half *color, __global const half *codes,
                             __global const uchar *dynamic_mask, __global const float *measured) {
-    const Rendered shown = {color, codes, dynamic_mask, frame->code_offset,
-                            sharpening(frame->sharpness ? *measured : 0.0f, display_white(frame->code_offset))};
+    const Rendered shown = {
+        color, codes, dynamic_mask, frame->code_offset,
+        sharpening(frame->sharpness && frame->has_previous ? *measured : 0.0f, display_white(frame->code_offset))};
     return shown;
 }
 

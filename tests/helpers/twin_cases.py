@@ -68,6 +68,6 @@ def run(device, width, height, options, int64=None, target=None, spoil=True):
         pipeline.submit(frame)
     pipeline.submit(now)
     if options.sharpness:
-        pipeline.stages["sharpness"].upload("sharpness", np.array([SHARPNESS], np.float32))
+        pipeline.stages["history"].upload("sharpness", np.array([SHARPNESS], np.float32))
     to = camera(*(target or (width, height)), (0.35, 0.07, 0.6), 0.075, 0.045, 0.035)
     return Case(pipeline, now, past, to, pipeline.extrapolate(to, now.time + 0.02))

@@ -19,7 +19,7 @@ from gffe_cl.engine.stages.buffers import BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.history import Acceleration, HistoryTracking, PositionPrediction
 from gffe_cl.engine.stages.holes import FILLINGS, HiddenParts, HoleFilling
-from gffe_cl.engine.stages.measures import SceneCuts, Sharpness, UserInterface
+from gffe_cl.engine.stages.measures import SceneCuts, UserInterface
 from gffe_cl.engine.stages.network import Convolutions, NetworkInput
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs, ShadingTrend
 from gffe_cl.engine.stages.silhouettes import Silhouettes
@@ -31,7 +31,6 @@ STAGES: tuple[type[Stage], ...] = (
     UserInterface,
     SceneCuts,
     HistoryTracking,
-    Sharpness,
     Acceleration,
     Connectivity,
     Lattices,

@@ -79,6 +79,7 @@ class HistoryTracking(Stage):
             "largest error of quantized motion vectors by component and sign, px, by the steps of the frame before; ε"
             " is added to it; 0: not quantized",
         ),
+        BufferSpec("sharpness", np.float32, (), "once", "how much sharper edges are than interpolated ones, 0 to 2"),
         BufferSpec(
             "residual_histogram",
             np.int32,
@@ -93,8 +94,9 @@ class HistoryTracking(Stage):
             np.int32,
             (),
             "once",
-            "the histograms while they are counted, and how many work-groups have added to them",
-            planes=_CONSTANTS["HISTOGRAMS"] * _CONSTANTS["RESIDUAL_BINS"] + 1,
+            "the histograms while they are counted, the sums that tell the sharpness, and how many work-groups have"
+            " added to each",
+            planes=_CONSTANTS["HISTOGRAMS"] * _CONSTANTS["RESIDUAL_BINS"] + 1 + 3,
             scratch=True,
         ),
     )
@@ -118,6 +120,7 @@ class HistoryTracking(Stage):
                 "threshold_squared": "history.static_threshold_squared",
                 "motion_steps": "history.motion_steps",
                 "quantization_error": "history.quantization_error",
+                "sharpness": "history.sharpness",
             },
             step=("LANES", "RESIDUAL_ROWS"),
             group="COUNT_GROUP",
@@ -174,15 +177,15 @@ class HistoryTracking(Stage):
             self.upload("static_threshold_squared", np.array([threshold**2], np.float32))
 
     def measure(self, step: Step) -> None:
-        """Count the samples of a cut, and find the automatic threshold, of a rendered frame with a previous one, unless
-        that is done."""
-        if self._measured is not step.key and (self.automatic or self.detects):
+        """Count the samples of a cut, and find the automatic threshold and the sharpness, of a rendered frame with a
+        previous one, unless that is done."""
+        if self._measured is not step.key and (self.automatic or self.detects or self.board.options.sharpness):
             self._measured = step.key
             self.launch("measure_samples", step)
 
     def rendered(self, step: Step) -> None:
         """Run Algorithm 1. Without a previous frame, or without motion estimation, everything is static."""
-        if self.automatic and step.previous is not None:
+        if step.previous is not None:
             self.measure(step)
         self.launch("track_history", step)
 

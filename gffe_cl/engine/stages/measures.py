@@ -1,5 +1,5 @@
 """Measurements of a rendered frame before the work on it: a user interface in its color, cuts and teleports that the
-input does not mark, and the sharpness with which it is resampled."""
+input does not mark."""
 
 from __future__ import annotations
 
@@ -171,63 +171,3 @@ def counts_say_cut(counts: dict[str, int], jumped: bool = False) -> bool:
         return depth < (DEPTH_SURE + DEPTH_UNSURE) / 2
     contrast = counts["contrast_right"] / counts["with_contrast"]
     return depth < DEPTH_SURE or (depth < DEPTH_UNSURE and contrast < CONTRAST_RIGHT)
-
-
-_SUMS = ("explained", "changed")
-
-
-class Sharpness(Stage):
-    """Resamples the frame before at a lattice of samples, and measures how much sharper than Catmull-Rom's cubic
-    it has to be to show this frame's colors. Warps resample the rendered frame as sharply."""
-
-    name = "sharpness"
-    paper = "Warping"
-    buffers = (
-        BufferSpec("sharpness", np.float32, (), "once", "how much sharper edges are than interpolated ones, 0 to 2"),
-        BufferSpec(
-            "evidence",
-            np.float32,
-            _SUMS,
-            "once",
-            "differences between rendered frames that sharpness explains, and what it changes: sums of squares, white"
-            " being 1, in which earlier frames count less and less",
-        ),
-        BufferSpec(
-            "pending",
-            np.int32,
-            (*_SUMS, "added"),
-            "once",
-            "these sums while they are added up, and how many work-groups have added to them",
-            scratch=True,
-        ),
-    )
-    kernels = (
-        Kernel(
-            "measure_sharpness",
-            "cut_samples",
-            {
-                "color": "rendered.color",
-                "depth": "rendered.depth",
-                "motion": "rendered.motion",
-                "dynamic_mask": "history.dynamic_mask",
-                "color_prev": "previous.color",
-                "depth_prev": "previous.depth",
-                "pending": "sharpness.pending",
-                "evidence": "sharpness.evidence",
-            },
-            {
-                "pending": "sharpness.pending",
-                "evidence": "sharpness.evidence",
-                "sharpness": "sharpness.sharpness",
-            },
-            group="SAMPLES_X",
-        ),
-    )
-
-    @classmethod
-    def is_wanted(cls, options: Options) -> bool:
-        return options.sharpness
-
-    def rendered(self, step: Step) -> None:
-        """Measure it. Without a previous frame it is 0."""
-        self.launch("measure_sharpness", step)

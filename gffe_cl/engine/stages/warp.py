@@ -291,7 +291,7 @@ class Warp(NearestStage):
                 "links": "connectivity.links",
                 "dynamic_mask": "history.dynamic_mask",
                 "target_position": "prediction.target_position",
-                "sharpness": "sharpness.sharpness",
+                "sharpness": "history.sharpness",
             }
             | _KEYS,
             NEW_FRAME | {"open": "warp.open"},
@@ -334,7 +334,7 @@ class DilatedWarp(NearestStage):
                 "codes": "color_code.codes",
                 "dynamic_mask": "history.dynamic_mask",
                 "target_position": "prediction.target_position",
-                "sharpness": "sharpness.sharpness",
+                "sharpness": "history.sharpness",
             }
             | _DILATED_WARP_KEYS,
             NEW_FRAME,

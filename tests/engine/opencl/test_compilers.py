@@ -319,6 +319,7 @@ EXCESSES = {
     ("upscaling.accumulate", "dg2-g10", "SIMD8"): ("16 taps of four channels; not among the defaults", "libigc1"),
     ("acceleration.track_acceleration", "sm_86", "registers"): ("a work-item for 16 pixels; most see no mover", ""),
     ("acceleration.track_acceleration", "dg2-g10", "SIMD8"): ("a work-item for 16 pixels; most see no mover", ""),
+    ("history.measure_samples", "dg2-g10", "SIMD8"): ("a few samples of a frame", ""),
     ("background.fill_from_levels", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("background.fill_from_levels", "dg2-g10", "SIMD8"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),

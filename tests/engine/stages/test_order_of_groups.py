@@ -16,7 +16,6 @@ OPTIONS = Options(shading_correction=False, levels=2)
 # Kernels in which several work-groups change one place, by atomics, or append to one list.
 SHARING = (
     "measure_samples",
-    "measure_sharpness",
     "find_reach",
     "splat",
     "scatter_level",

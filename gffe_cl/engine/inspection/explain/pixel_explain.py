@@ -39,7 +39,6 @@ from gffe_cl.engine.stages.buffers import (
     BY_WARP,
     FILLED_BY,
 )
-from gffe_cl.engine.stages.measures import Sharpness
 
 _MOVERS, _HOLES = constants("stories/hidden_parts.cl"), constants("stories/holes.cl")
 _DIRECTIONS = ((1, 0), (1, 1), (0, 1), (-1, 1), (-1, 0), (-1, -1), (0, -1), (1, -1))
@@ -94,11 +93,11 @@ def _as_it_is(shot: Shot) -> str:
 def _with_sharpness(story: Story, pipeline: Pipeline, values: dict[str, np.ndarray]) -> Story:
     """Return the story with the sharpness measured for its pixel, if that is resampled and not copied."""
     number, px = int(values[names.FILLED_BY][0]), story.source
-    if Sharpness.name not in pipeline.stages or not px or all(abs(c % 1 - 0.5) < 0.01 for c in px):
+    if not pipeline.options.sharpness or not px or all(abs(c % 1 - 0.5) < 0.01 for c in px):
         return story
     if pipeline.options.warps_footprints and number not in (BY_WARP, BY_CRACK_CLOSING):
         return story
-    measured = float(pipeline.stages[Sharpness.name].read("sharpness").item())
+    measured = float(pipeline.stages["history"].read("sharpness").item())
     said = f"Interpolated between pixels: a sharpness of {measured:.2f} was measured on rendered frames."
     return replace(story, sentences=(*story.sentences, said))
 
