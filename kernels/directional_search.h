@@ -41,6 +41,14 @@ INLINE int first_of(const uint bits) { return 31 - (int)clz(bits & -bits); }
 /* The first of `steps` steps that meets a pixel with another value in a mask, counted from 1; 0: none. */
 INLINE int first_other(const int dst, const int offset, const int steps, __global const uchar *mask,
                        const uchar value) {
+    if (LANES > 1) {
+        __global const uchar *at = mask + dst;
+        for (int t = 1; t <= steps; ++t) {
+            at += offset;
+            if (*at != value) return t;
+        }
+        return 0;
+    }
     for (int t = 1; t <= steps; t += AT_ONCE) {
         const uint others = others_from(t, steps, dst, offset, mask, value);
         if (others) return min(t + first_of(others), steps);

@@ -200,9 +200,9 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
     const int met = (side->px - dst) / offset, last = min(steps, met + reach / PAST_SHARE);
     for (int t = met + 1; t <= last; ++t) {
         const int px = dst + t * offset;
-        if (f.filled_by[px] == BY_HOLE_FILLING || is_of_mover(px, f)) continue; /* others write depth there */
+        if (f.filled_by[px] == BY_HOLE_FILLING) continue; /* others write depth there */
         const float z = f.depth[px];
-        if (!(z > before)) continue;
+        if (!(z > before) || is_of_mover(px, f)) continue;
         const float3 px_source = static_source(dst_x, dst_y, inverse_of(z), frame->to_source);
         if (!is_out_of_screen(px_source, frame) && can_be_at(px_source, frame, f.source_depth)) {
             Side found = {.meets = true, .can_be_there = true};
