@@ -42,12 +42,9 @@ INLINE int first_of(const uint bits) { return 31 - (int)clz(bits & -bits); }
 INLINE int first_other(const int dst, const int offset, const int steps, __global const uchar *mask,
                        const uchar value) {
     if (LANES > 1) {
-        __global const uchar *at = mask + dst;
-        for (int t = 1; t <= steps; ++t) {
-            at += offset;
-            if (*at != value) return t;
-        }
-        return 0;
+        int t = 1;
+        for (int at = dst + offset; t <= steps && mask[at] == value; at += offset) ++t;
+        return t <= steps ? t : 0;
     }
     for (int t = 1; t <= steps; t += AT_ONCE) {
         const uint others = others_from(t, steps, dst, offset, mask, value);

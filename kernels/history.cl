@@ -250,20 +250,18 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
     if (row < 0 ? get_group_id(0) > 0 : !given.automatic) return;
     for (int b = item; b < HISTOGRAMS * RESIDUAL_BINS; b += COUNT_GROUP) counts[b] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);
-    if (row < 0) {
-        const int of_samples = row + SAMPLES_Y, groups = min(height, SAMPLES_Y);
-        if (given.detects)
-            count_sample(item, of_samples, width, height, given.camera_step, given.to_previous, color, depth, motion,
-                         color_prev, depth_prev, counts);
-        if (given.sharpness && of_samples < groups)
-            compare_sample(item, of_samples, width, height, given.code_offset, given.to_previous, color, depth, motion,
-                           color_prev, depth_prev, counts + COUNTS);
-        barrier(CLK_LOCAL_MEM_FENCE);
-        if (given.detects && item < COUNTS) cut_counts[of_samples * COUNTS + item] = counts[item];
-        if (given.sharpness && of_samples < groups && item == 0)
-            find_sharpness(counts + COUNTS, groups, pending + SHARP, sharpness);
-        return;
-    }
+    const int of_samples = row + SAMPLES_Y, groups = min(height, SAMPLES_Y);
+    const bool compares = row < 0 && of_samples < groups && given.sharpness, detects = row < 0 && given.detects;
+    if (detects)
+        count_sample(item, of_samples, width, height, given.camera_step, given.to_previous, color, depth, motion,
+                     color_prev, depth_prev, counts);
+    if (compares)
+        compare_sample(item, of_samples, width, height, given.code_offset, given.to_previous, color, depth, motion,
+                       color_prev, depth_prev, counts + COUNTS);
+    barrier(CLK_LOCAL_MEM_FENCE); /* PoCL skips tests of single work-items behind a barrier that is in a branch */
+    if (detects && item < COUNTS) cut_counts[of_samples * COUNTS + item] = counts[item];
+    if (compares && item == 0) find_sharpness(counts + COUNTS, groups, pending + SHARP, sharpness);
+    if (row < 0) return;
     const Ints src_x = ((int)get_global_id(0) * LANES + LANE_NUMBERS) * RESIDUAL_STRIDE;
     const bool quantized = is_quantized(steps_prev);
     const int end = min(first + RESIDUAL_ROWS * RESIDUAL_STRIDE, height);
