@@ -108,11 +108,11 @@ def absolute(module, path, node):
 LEDGER = {
     "gffe_cl": 38_334,
     "viewer": 12_798,
-    "kernels": 10_456,
+    "kernels": 10_459,
     "tests": 29_051,
     "docs/tools": 4_251,
     "docs/examples": 1_884,
-    "docs/*.md": 4_464,
+    "docs/*.md": 4_462,
 }
 MOST_MODULES = 204
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
