@@ -84,5 +84,6 @@ INLINE void find_sharpness(__local const int *sums, const int groups, __global i
     const float all_explained = (float)atomic_xchg(pending + EXPLAINED, 0) * (1.0f / UNIT),
                 all_changed = (float)atomic_xchg(pending + CHANGED, 0) * (1.0f / UNIT);
     atomic_xchg(pending + ADDED, 0);
-    *sharpness = clamp(divide(all_explained + EXPECTED * LEAST_EVIDENCE, all_changed + LEAST_EVIDENCE), 0.0f, SHARPEST);
+    const float found = divide(all_explained + EXPECTED * LEAST_EVIDENCE, all_changed + LEAST_EVIDENCE);
+    *sharpness = all_changed > 0.0f ? clamp(found, 0.0f, SHARPEST) : 0.0f; /* as displays resample what rests */
 }

@@ -25,7 +25,7 @@ def gpu_table() -> str:
         rows.append((f"**{label}**", *(f"**{one['milliseconds'][part]:.2f}**" for one in sizes)))
     for label, sizes in (("wall time of a default pair", default), ("wall time, preset `performance`", performance)):
         rows.append((label, *(f"{one['wall']:.2f}" for one in sizes)))
-    return table(("ms", *(f"{one['width']}×{one['height']}" for one in default)), rows)
+    return f"Commit {recorded('gpu')['commit']}:\n\n" + table(("ms", *(f"{one['width']}×{one['height']}" for one in default)), rows)
 
 
 def times_text() -> str:
@@ -36,7 +36,8 @@ def times_text() -> str:
     text = (
         f"**Time of a 1080p frame**: on an NVIDIA H100 {gae + scn:.2f} ms of kernels with the network"
         f" ({wall:.2f} ms by wall time), {gae:.2f} ms without it, and {preset:.2f} ms with `--preset performance`"
-        f" ([by stage](docs/performance.md#gpus-measured)). `gffe bench --device gpu` measures yours."
+        f" ([by stage](docs/performance.md#gpus-measured); commit {recorded('gpu')['commit']}). `gffe bench --device gpu`"
+        " measures yours."
     )
     return textwrap.fill(text, 158, break_on_hyphens=False)
 

@@ -88,9 +88,10 @@ class MadeFrame(Unique):
 
     def _spec(self, name: str) -> BufferSpec:
         names = [n for n in (*_SPECS, *_LIKE) if n in {field.name for field in fields(self)}]
-        if name == "expected_error" and name in names and getattr(self, name) is None:
+        chosen = require_choice(name, names, "frame: name")
+        if chosen == "expected_error" and getattr(self, chosen) is None:
             raise GffeError("frame: expected_error was not made (expected Options(expected_error=True))")
-        return _SPECS[_LIKE.get(require_choice(name, names, "frame: name"), name)]
+        return _SPECS[_LIKE.get(chosen, chosen)]
 
     def _shape(self, spec: BufferSpec) -> tuple[int, ...]:
         return spec.shape(Sizes(self._size, self._size))

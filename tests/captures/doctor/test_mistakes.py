@@ -105,7 +105,8 @@ def test_the_table_has_every_kind_of_finding():
     kinds = {one.name for one in classes if isinstance(getattr(one, "name", None), str)}
     tested = {name for mistake in MISTAKES.values() for name in mistake.names}
     tested |= {"unexplained", "unexplained-frame", "ambiguous", "misfit-at-end"}  # below
-    assert kinds - tested == {"nothing-usable", "single-frames", "still-camera"}  # of test_doctor.py
+    of_test_doctor = {"nothing-usable", "single-frames", "still-camera", "uneven-times", "truth-of-another-time"}
+    assert kinds - tested == of_test_doctor
 
 
 @pytest.mark.parametrize(("scene", "name"), spread(UNEXPLAINED, ["saturated depth", "split screen", "lost bytes"]))

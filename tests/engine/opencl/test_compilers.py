@@ -35,7 +35,7 @@ WARNINGS += ("-Wdouble-promotion", "-Wfloat-conversion")
 MOST_LOCAL = {1: 16 << 10, 8: 32 << 10}  # bytes per work-group, by LANES: CPUs keep it in memory like any other
 MOST_PRIVATE = {1: 64, 8: 3 << 10}  # bytes per work-item, by LANES: that of CPUs holds eight pixels on the stack
 PRIVATE = {"scenes/scene.shade": 1 << 10}  # kernels that may have more: those of test scenes
-MOST_ARGUMENTS = 1000  # bytes of a kernel: some GPUs allow 1024
+MOST_ARGUMENTS = 1024  # bytes of a kernel: all GPUs allow so many
 MOST_REGISTERS = 64  # on sm_86: more leave it less than half of its threads
 
 
