@@ -25,7 +25,9 @@ def gpu_table() -> str:
         rows.append((f"**{label}**", *(f"**{one['milliseconds'][part]:.2f}**" for one in sizes)))
     for label, sizes in (("wall time of a default pair", default), ("wall time, preset `performance`", performance)):
         rows.append((label, *(f"{one['wall']:.2f}" for one in sizes)))
-    return f"Commit {recorded('gpu')['commit']}:\n\n" + table(("ms", *(f"{one['width']}×{one['height']}" for one in default)), rows)
+    return f"Commit {recorded('gpu')['commit']}:\n\n" + table(
+        ("ms", *(f"{one['width']}×{one['height']}" for one in default)), rows
+    )
 
 
 def times_text() -> str:
