@@ -110,7 +110,7 @@ LEDGER = {
     "viewer": 12_798,
     "kernels": 10_460,
     "tests": 29_052,
-    "docs/tools": 4_252,
+    "docs/tools": 4_253,
     "docs/examples": 1_884,
     "docs/*.md": 4_464,
 }

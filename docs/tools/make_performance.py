@@ -25,20 +25,19 @@ def gpu_table() -> str:
         rows.append((f"**{label}**", *(f"**{one['milliseconds'][part]:.2f}**" for one in sizes)))
     for label, sizes in (("wall time of a default pair", default), ("wall time, preset `performance`", performance)):
         rows.append((label, *(f"{one['wall']:.2f}" for one in sizes)))
-    return f"Commit {recorded('gpu')['commit']}:\n\n" + table(
-        ("ms", *(f"{one['width']}×{one['height']}" for one in default)), rows
-    )
+    columns = ("ms", *(f"{one['width']}×{one['height']}" for one in default))
+    return f"Commit {recorded('gpu')['commit']}:\n\n" + table(columns, rows)
 
 
 def times_text() -> str:
     """Return the times of a frame of 1920×1080, for the README."""
     default, fast = (recorded(name)["devices"][0]["sizes"][0] for name in ("gpu", "gpu_performance"))
     gae, scn = (default["milliseconds"][part] for part in ("GAE", "SCN"))
-    wall, preset = default["wall"], fast["milliseconds"]["GAE"]
+    wall, preset, commit = default["wall"], fast["milliseconds"]["GAE"], recorded("gpu")["commit"]
     text = (
         f"**Time of a 1080p frame**: on an NVIDIA H100 {gae + scn:.2f} ms of kernels with the network"
         f" ({wall:.2f} ms by wall time), {gae:.2f} ms without it, and {preset:.2f} ms with `--preset performance`"
-        f" ([by stage](docs/performance.md#gpus-measured); commit {recorded('gpu')['commit']}). `gffe bench --device gpu`"
+        f" ([by stage](docs/performance.md#gpus-measured); commit {commit}). `gffe bench --device gpu`"
         " measures yours."
     )
     return textwrap.fill(text, 158, break_on_hyphens=False)
