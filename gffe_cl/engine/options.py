@@ -268,6 +268,12 @@ class Options:
         "Closing of cracks: a fragment covers the area that its pixel maps to; off: single pixels, as in the paper.",
         flag="--no-crack-closing",
     )
+    lattices: bool = _option(
+        True,
+        "lattices",
+        "Fences of wire and nets move as one layer; off: every pixel moves by its own depth.",
+        flag="--no-lattices",
+    )
     blocks: bool = _option(
         True,
         "backward blocks",

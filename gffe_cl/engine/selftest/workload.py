@@ -59,6 +59,7 @@ CASES = {
             hidden_parts=False,
             hole_filling="downsample",
             soft_silhouettes=False,
+            lattices=False,
             levels=4,
             resampling="linear",
         ),

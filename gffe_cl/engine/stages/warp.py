@@ -100,7 +100,8 @@ class Lattices(Stage):
     )
 
     def rendered(self, step: Step) -> None:
-        for kernel in ("weigh_layers", "find_lattices", "link_lattices"):
+        """Find them; without the option `lattices` there are none."""
+        for kernel in ("weigh_layers", "find_lattices", "link_lattices") if self.board.options.lattices else ():
             self.launch(kernel, step)
 
 

@@ -583,6 +583,7 @@ _PAPERS_WAY = {
     "sharpness": False,
     "crack_closing": False,
     "blocks": False,
+    "lattices": False,
     "camera_fixed": False,
     "entering": False,
     "acceleration": False,
