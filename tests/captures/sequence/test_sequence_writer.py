@@ -1,11 +1,11 @@
 """Writers that are interrupted, that fail, and that meet files of others."""
 
-import _thread
 import errno
 import os
 import resource
 import shutil
 import signal
+import threading
 import time
 from pathlib import Path
 
@@ -79,7 +79,7 @@ def test_interrupted_while_it_ends(tmp_path, monkeypatch):
     real = OutputFolder._replace
 
     def replace(folder):
-        _thread.interrupt_main()
+        signal.pthread_kill(threading.main_thread().ident, signal.SIGINT)
         time.sleep(0.2)
         real(folder)
 
