@@ -346,3 +346,17 @@ def test_a_neighbor_is_b(session):
     session.settle()
     assert model.contents.second is None and "no rendered frame after" in model.comparison.scale_text()
     assert model.comparison.preferences()["b"] is None
+
+
+def test_an_infinite_difference_is_not_the_largest(session):
+    """Of depth, of the sky and a surface."""
+    model = session.model
+    model.playback.seek(3)
+    model.comparison.with_neighbor("new frame before")
+    model.show_layer("frame.depth")
+    session.settle()
+    images = model.contents.result.images
+    images["frame.depth"] = depth = images["frame.depth"].copy()
+    depth[2, 3] = np.inf
+    model.go_to_largest()
+    assert np.isfinite(float(model.messages[-1].text.split()[1]))

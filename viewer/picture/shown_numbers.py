@@ -200,14 +200,16 @@ def numbers_of(view: View, contents: Contents, flip: np.ndarray | None) -> list[
 
 def largest(view: View, contents: Contents, flip: np.ndarray | None) -> tuple[tuple[int, int], float] | None:
     """Return the display pixel with the largest difference or FLIP error that a view shows, and that number; None where
-    there is none. Arguments as of `numbers_of`."""
+    there is none. Infinite ones, of sky and a surface, count where there are no others. Arguments as of
+    `numbers_of`."""
     if view.compare != "difference" and view.a != FLIP_MAP:
         return None
     for shown in numbers_of(view, contents, flip):
         height, width = shown.grid.image.shape[:2]
         rows, columns = np.divmod(np.arange(height * width), width)
-        errors = np.nan_to_num(np.abs(shown.of(rows, columns)).max(-1), nan=-1.0)
-        at = int(errors.argmax())
+        errors = np.nan_to_num(np.abs(shown.of(rows, columns)).max(-1), nan=-1.0, posinf=np.inf)
+        finite = np.where(np.isinf(errors), -1.0, errors)
+        at = int((finite if finite.max() > 0 else errors).argmax())
         if errors[at] > 0:
             place = (columns[at] + 0.5) / width, (rows[at] + 0.5) / height
             pixel = shown.grid.frame.pixel_of(shown.grid.spec, place)
