@@ -210,7 +210,6 @@ def store(footage: FrameLoop, folder: Path) -> None:
 def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, repeats: int, flags: list[str]) -> dict:
     """Return milliseconds of both versions by part, and the ratios old : new."""
     store(footage, folder)
-    load = os.getloadavg()[0]
     arguments = [str(folder), "--device", device, *flags]
     versions = [Version(tree, *arguments) for tree in trees]
     if versions[0].device != versions[1].device:
@@ -234,7 +233,7 @@ def compare(footage: FrameLoop, folder: Path, trees: list[Path], device: str, re
     spread = (of_cpu[3 * len(of_cpu) // 4] - of_cpu[len(of_cpu) // 4]) / ratio[CLOCKS[1]]
     way = f", {flags[flags.index('--host') + 1]}" if "--host" in flags else ""
     named = {"of": footage.name + way, "width": footage.width, "height": footage.height, "device": versions[1].device}
-    return named | {"old": old, "new": new, "ratio": ratio, "load": load, "spread": spread}
+    return named | {"old": old, "new": new, "ratio": ratio, "spread": spread}
 
 
 def rounded(value):
@@ -246,7 +245,7 @@ def rounded(value):
     return round(value, 3) if isinstance(value, float) else value
 
 
-def show(report: dict) -> None:
+def show(report: dict, load: float) -> None:
     old, new, ratio = (report[key] for key in ("old", "new", "ratio"))
     print(f"\n{report['of']}, {report['width']}×{report['height']}, {report['device']}")
     print(f"{'ms':26}{'old':>10}{'new':>10}{'ratio':>8}")
@@ -254,11 +253,12 @@ def show(report: dict) -> None:
         figures = (f"{side[part]:.2f}" if part in side else "" for side in (old, new, ratio))
         print("{:26}{:>10}{:>10}{:>8}".format(part, *figures), flush=True)
     wall, cpu = (new[clock] for clock in CLOCKS)
-    if "SCN, network" not in new and wall > BUSY * cpu:
-        print(f"warning: the machine was busy: wall time {wall:.1f} ms, CPU time {cpu:.1f} ms per core")
-    if report["load"] > LOAD or report["spread"] > SPREAD:
-        load, spread = report["load"], report["spread"]
-        print(f"warning: too busy to tell: load {load:.1f} before, half of the ratios differ by up to {spread:.0%}")
+    waits = wall > BUSY * cpu and "SCN, network" not in new
+    if waits or load > LOAD or report["spread"] > SPREAD:
+        print(
+            f"warning: too busy to tell: load {load:.1f} at the start, {wall:.1f} ms for {cpu:.1f} ms of CPU time,"
+            f" half of the ratios differ by up to {report['spread']:.0%}"
+        )
 
 
 def main() -> None:
@@ -286,7 +286,7 @@ def main() -> None:
     from gffe_cl.lab.bench import SCENE, loop_of
 
     width, height = (int(n) for n in asked.size.split("x"))
-    reports = []
+    reports, load = [], os.getloadavg()[0]
     with tempfile.TemporaryDirectory(prefix="compare_speed_") as temporary:
         folder = Path(temporary)
         trees = [folder_of(asked.old, folder / "old"), folder_of(asked.new, folder / "new")]
@@ -299,7 +299,7 @@ def main() -> None:
             for way in HOST if asked.host == "all" else [asked.host]:
                 more = ["--host", way] if way else []
                 reports.append(compare(footage, place, trees, device.info.index, asked.repeats, flags + more))
-                show(reports[-1])
+                show(reports[-1], load)
                 shutil.rmtree(place)
     if asked.json:
         document = {"old": called(asked.old), "new": called(asked.new), "of": reports}
