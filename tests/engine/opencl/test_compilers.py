@@ -324,6 +324,7 @@ EXCESSES = {
     ("background.fill_from_levels", "dg2-g10", "SIMD8"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
+    ("lattices.weigh_layers", "sm_86", "registers"): ("most blocks have no steps; two registers too many", ""),
     ("warp.splat", "sm_86", "registers"): ("silhouettes ask the background; two registers too many", ""),
     ("silhouettes.soften", "sm_86", "registers"): ("tests of the border once, which SIMD16 on Intel's needs", ""),
     ("prediction.predict_positions", "dg2-g10", "SIMD8"): ("most see no mover", ""),
