@@ -109,7 +109,7 @@ LEDGER = {
     "gffe_cl": 38_344,
     "viewer": 12_800,
     "kernels": 10_460,
-    "tests": 29_066,
+    "tests": 29_067,
     "docs/tools": 4_253,
     "docs/examples": 1_884,
     "docs/*.md": 4_465,
