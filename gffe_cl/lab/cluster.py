@@ -68,9 +68,10 @@ class Cluster(ExitStack):
     def summary(self) -> str:
         """Return a line on the cells so far: how many, how many a minute, and their bytes both ways."""
         rate, count = 60 * self._cells / max(monotonic() - self._since, 1e-3), max(self._cells, 1) * 1e6
+        workers = f"{len(self._workers)} worker{'s' * (len(self._workers) != 1)}"
         return (
-            f"{self._cells} cells on {len(self._workers)} workers: {rate:.3g} a minute, {self._there / count:.3g} MB a"
-            f" cell there and {self._back / count:.3g} MB back, {self._connecting:.1f} s to connect"
+            f"{self._cells} cells on {workers}: {rate:.3g} a minute, {self._there / count:.3g} MB a cell there and"
+            f" {self._back / count:.3g} MB back, {self._connecting:.1f} s to connect"
         )
 
     def map(self, function: Callable[..., Any], cells: Iterable[dict[str, Any]]) -> Iterator[tuple[Any, Files]]:
