@@ -51,6 +51,11 @@ class Cluster(ExitStack):
                     host="127.0.0.1", security=True, silence_logs=logging.CRITICAL, **count
                 )
                 where = {"address": self.enter_context(local)}
+            address = where.get("address")  # a client that cannot be made prints a traceback when it is dropped
+            if isinstance(address, str):
+                distributed.comm.get_address_host_port(address)
+                if address.startswith("tls:") and not tls:
+                    raise ValueError("TLS without its files")
             self._client: Any = self.enter_context(distributed.Client(**where, timeout="10s", set_as_default=False))
         except (OSError, ValueError, TypeError, RuntimeError) as error:
             self.close()
