@@ -36,6 +36,7 @@ class Cluster(ExitStack):
         super().__init__()
         require_packages("--scheduler", "cluster", "distributed", "cryptography")
         import distributed
+        from distributed.comm import get_address_host_port
 
         self._dask: Any = distributed
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is no message of this program
@@ -53,7 +54,7 @@ class Cluster(ExitStack):
                 where = {"address": self.enter_context(local)}
             address = where.get("address")  # a client that cannot be made prints a traceback when it is dropped
             if isinstance(address, str):
-                distributed.comm.get_address_host_port(address)
+                get_address_host_port(address)
                 if address.startswith("tls:") and not tls:
                     raise ValueError("TLS without its files")
             self._client: Any = self.enter_context(distributed.Client(**where, timeout="10s", set_as_default=False))
