@@ -36,7 +36,7 @@ class Cluster(ExitStack):
         super().__init__()
         require_packages("--scheduler", "cluster", "distributed", "cryptography")
         import distributed
-        from distributed.comm import get_address_host_port
+        from distributed.comm.addressing import get_address_host_port
 
         self._dask: Any = distributed
         logging.getLogger("distributed").setLevel(logging.CRITICAL)  # a lost worker is no message of this program
