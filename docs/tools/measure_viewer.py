@@ -23,6 +23,8 @@ PLAYED, RESTED, DRAGS = 8.0, 10.0, 40  # seconds, seconds, frames
 
 def measured(app: App) -> Iterator[None]:
     """Print one figure after the other; yields once per frame of the interface."""
+    import glfw  # after ImGui, which brings its own
+
     model, start = app.model, time.perf_counter()
     while model.contents.result is None:
         yield
@@ -34,6 +36,7 @@ def measured(app: App) -> Iterator[None]:
         yield
     model.playback.loop = True
     model.playback.play()
+    glfw.post_empty_event()  # as keys and mouse do
     start, busy = time.perf_counter(), time.process_time()
     while time.perf_counter() - start < PLAYED:
         yield
@@ -46,6 +49,7 @@ def measured(app: App) -> Iterator[None]:
     for number in range(DRAGS):
         start = time.perf_counter()
         playback.seek(number * 7919 % slots)
+        glfw.post_empty_event()
         yield
         while not model.settled:
             yield

@@ -79,6 +79,21 @@ def drawn(canvas, view, size) -> np.ndarray:
     return pixels[..., :3] / 255
 
 
+def test_drawn_into_a_window(canvas):
+    """A window's first row is the bottom one: the same picture as by itself, upside down, at its place."""
+    image = np.random.default_rng(1).random((6, 8, 4)).astype(np.float16)
+    canvas.upload("a", image, LayerSpec("a", "a", "", "color"))
+    view = View("a", Display(), center=(4.0, 3.0), zoom=3.0)
+    window = canvas.ctx.simple_framebuffer((60, 50), 4)
+    window.clear(0.0, 0.0, 1.0, 1.0)
+    canvas.draw_into(window, view, (7, 9), (40, 30))
+    pixels = np.frombuffer(window.read(components=4), np.uint8).reshape(50, 60, 4)[::-1]
+    np.testing.assert_array_equal(pixels[9:39, 7:47], read(canvas.draw(view, (40, 30))))
+    assert (np.delete(pixels[9:39], np.s_[7:47], 1) == (0, 0, 255, 255)).all()
+    assert (pixels[[*range(9), *range(39, 50)]] == (0, 0, 255, 255)).all()
+    window.release()
+
+
 def shown(canvas, spec, array, display=None, **view) -> np.ndarray:
     """`array` drawn pixel for pixel, as pages have it, too."""
     height, width = array.shape[1:3] if spec.planes > 1 else array.shape[:2]

@@ -60,7 +60,7 @@ class Engine:
     cuts : dict
         Rendered frames that were found to be cuts so far, by recipe, whoever made their slots.
     wake : callable
-        Called on the thread when files that are watched have changed.
+        Called on the thread when something was made, or files that are watched have changed.
     """
 
     def __init__(self, open_the_device: Callable[[], Device] = open_viewer_device, store: Store | None = None):
@@ -165,6 +165,8 @@ class Engine:
             except Exception as error:
                 self._fail(error, kind)
             self.activity = ""
+            if kind != "watch":
+                self.wake()
             kind, do = self._next()
         self._makers = []
         if self.source:

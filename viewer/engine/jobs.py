@@ -26,8 +26,13 @@ class Jobs:
         self._news = threading.Condition()
         self._jobs: deque[tuple[Future, Callable, tuple]] = deque()
         self._thread: threading.Thread | None = None
-        self._closing = False
+        self._closing = self._at_work = False
         _all.add(self)
+
+    @property
+    def busy(self) -> bool:
+        """Whether a job is under way or waits."""
+        return self._at_work or bool(self._jobs)
 
     def run(self, job: Callable[..., Any], *arguments: Any, soon: bool = False) -> Future:
         """Run a job, `soon`: before those that wait. What it returns or raises is in the Future."""
@@ -65,10 +70,12 @@ class Jobs:
     def _run(self) -> None:
         while True:
             with self._news:
+                self._at_work = False
                 while not self._jobs and not self._closing:
                     self._news.wait()
                 if self._closing:
                     return
+                self._at_work = True
                 future, job, arguments = self._jobs.popleft()
             if not future.set_running_or_notify_cancel():
                 continue

@@ -21,7 +21,7 @@ from . import displays
 from .displays import TONE_MAPS, Display, FrameInfo, Rgb, shown_as
 from .view import CLIPPING, COMPARISONS, DIFFERENCES, OVERLAYS, Size, View, compared_as, full_scale
 
-_OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP")
+_OF_LAYER = ("VIEW", "SMOOTH", "CHANNEL", "TONE_MAP", "WEIGHTED", "WHOLE")
 # of display.frag
 _VARIANT = (*(f"{name}_{side}" for side in "AB" for name in _OF_LAYER), "COMPARE", "OVERLAY", "GRID")
 _GRID = (8.0, 24.0)  # screen pixels per texel and display pixel: lines between them show, and are as clear as they get
@@ -87,7 +87,7 @@ class _Shown:
     """A layer as the shader takes it; `variant`: its _OF_LAYER."""
 
     texture: Texture
-    variant: tuple[int, int, int, int]
+    variant: tuple[int, ...]
     uniforms: dict[str, Any]
 
 
@@ -146,7 +146,7 @@ class Canvas:
         self._programs: dict[tuple[int, ...], _Program] = {}
         self._layers: dict[str, Texture] = {}
         self._targets: dict[str, moderngl.Framebuffer] = {}
-        self._nothing = _Shown(Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0), {})
+        self._nothing = _Shown(Texture(ctx, np.zeros((1, 1, 1, 1), np.uint8)), (-1, 0, -1, 0, 0, 0), {})
         tables = np.stack([displays.color_table(name) for name in displays.COLOR_MAPS])
         self._color_maps = ctx.texture((256, len(displays.COLOR_MAPS)), 3, tables.tobytes(), alignment=1, dtype="f4")
         self._color_maps.repeat_x = self._color_maps.repeat_y = False
@@ -277,7 +277,18 @@ class Canvas:
         self._targets[name] = self.ctx.framebuffer([texture])
         return self._targets[name]
 
-    def _draw(self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer) -> None:
+    def draw_into(self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size) -> None:
+        """Draw `view` at `size` into a window, whose first row is the bottom one: the upper left corner at `origin`."""
+        corner = origin[0], window.height - origin[1] - size[1]
+        with self.ctx.scope(window, moderngl.NOTHING):
+            window.clear(*view.background, 1.0, viewport=(*corner, *size))
+            whole, window.viewport = window.viewport, (*corner, *size)
+            self._draw(view, corner, window, bottom_up=True)
+            window.viewport = whole
+
+    def _draw(
+        self, view: View, corner: tuple[int, int], framebuffer: moderngl.Framebuffer, bottom_up: bool = False
+    ) -> None:
         """Draw `view` into the framebuffer's viewport, which has its `corner` there and is full of background."""
         a, b = (view.a, view.a_display), (view.b, view.b_display)
         size = framebuffer.viewport[2:]
@@ -286,8 +297,9 @@ class Canvas:
             left, top, right, bottom = part
             if left >= right or top >= bottom:
                 return
-            program = self._prepare(view, layers, corner, size)
-            framebuffer.scissor = corner[0] + left, corner[1] + top, right - left, bottom - top
+            program = self._prepare(view, layers, corner, size, bottom_up)
+            first = size[1] - bottom if bottom_up else top
+            framebuffer.scissor = corner[0] + left, corner[1] + first, right - left, bottom - top
             program.triangle.render(moderngl.TRIANGLES, vertices=3)
             whole: Any = None  # which the stub leaves out
             framebuffer.scissor = whole
@@ -311,6 +323,7 @@ class Canvas:
         layers: Sequence[tuple[str | None, Display | None]],
         corner: tuple[int, int],
         size: Size,
+        bottom_up: bool,
     ) -> _Program:
         """Return the program that draws two layers where the second is mixed with the first, else one, with its
         uniforms."""
@@ -330,8 +343,12 @@ class Canvas:
             (texture or self._nothing.texture).texels.use(unit)
         self._color_maps.use(_UNITS["color_maps"])
         program.set("", {"has_depth": depth is not None} | self._frame_uniforms())
-        values = {name: getattr(view, name) for name in ("center", "zoom", "background")}
-        values |= {
+        display = self.frame.display_size
+        values = {
+            "background": view.background,
+            "center": tuple(at / side for at, side in zip(view.center, display, strict=True)),
+            "step": tuple(1 / (view.zoom * side) for side in display),
+            "bottom_up": bottom_up,
             "corner": corner,
             "size": size,
             "grid_contrast": contrast,
@@ -375,10 +392,7 @@ class Canvas:
 
     def _frame_uniforms(self) -> dict[str, Any]:
         frame = self.frame
-        values = {
-            "display_size": frame.display_size,
-            "has_source": frame.source is not None,
-        }
+        values: dict[str, Any] = {"has_source": frame.source is not None}
         if frame.source is not None:
             fx, fy, *center = frame.source.intrinsics
             values["source_inverse"] = 1 / fx, 1 / fy, *center
@@ -405,7 +419,6 @@ class Canvas:
             "own": frame.own_place(spec),
             "texel": texel,
             "level": level,
-            "weighted": spec.view == "color" and spec.components[3:] == ("weight",),
             "gain": 2.0**display.exposure * frame.exposure,
             "color_map": displays.COLOR_MAPS.index(display.color_map),
             "range": (low, high if high != low else low + abs(low) * 1e-6 + 1e-12),
@@ -415,8 +428,9 @@ class Canvas:
             "label_flip": displays.label_flip(spec),
         }
         tone_map = TONE_MAPS.index(display.tone_map) if view == "color" else 0
+        weighted = spec.view == "color" and spec.components[3:] == ("weight",)
         variant = VIEWS.index(view), int(smooth), min(channel, layer.components - 1), tone_map
-        return _Shown(layer, variant, uniforms)
+        return _Shown(layer, (*variant, int(weighted), int(area == (0.0, 0.0, 1.0, 1.0))), uniforms)
 
 
 def read(texture: moderngl.Texture) -> np.ndarray:

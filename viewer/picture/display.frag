@@ -4,8 +4,9 @@
    called linear.
 
    What the canvas shows is chosen by macros, because llvmpipe runs both sides of every branch. Of each layer: VIEW
-   (-1: no such layer), SMOOTH (1: drawn smaller, with mipmaps), CHANNEL (-1: all), TONE_MAP; and COMPARE, OVERLAY,
-   GRID (1: there are lines between pixels). All else is uniforms. */
+   (-1: no such layer), SMOOTH (1: drawn smaller, with mipmaps), CHANNEL (-1: all), TONE_MAP, WEIGHTED (1: color is a
+   sum, its weight the fourth channel), WHOLE (1: it covers the display and no more); and COMPARE, OVERLAY, GRID (1:
+   there are lines between pixels). All else is uniforms. */
 
 /* COLOR, TONE_ACES, MAP_HEAT, DIFFERENCE, SIGNED, CLIPPING and so on are the places in VIEWS (layers.py), TONE_MAPS and COLOR_MAPS
    (displays.py), COMPARISONS, OVERLAYS and DIFFERENCES (view.py): canvas.py defines them. */
@@ -16,7 +17,6 @@ struct Layer {
     vec4 area, own;       /* see FrameInfo.area, FrameInfo.own_place */
     vec2 texel;           /* screen pixels per texel */
     float level;          /* of mipmaps */
-    bool weighted;        /* color is a sum, its weight the fourth channel */
     float gain;           /* of linear color */
     int color_map;
     vec2 range;
@@ -31,8 +31,9 @@ uniform sampler2DArray texels_a, texels_b, rendered_depth;
 uniform sampler2D color_maps;   /* a row each */
 
 uniform vec2 corner, size;      /* of what is drawn, in the framebuffer */
-uniform vec2 center, display_size;
-uniform float zoom;
+uniform vec2 center;            /* of what is drawn, a fraction of the display */
+uniform vec2 step;              /* fraction of the display per pixel */
+uniform bool bottom_up;         /* the first row of the framebuffer is the bottom one, as in windows */
 uniform vec3 background;
 uniform float grid_contrast;
 uniform int difference;         /* ABSOLUTE, SIGNED, RELATIVE or MEAN */
@@ -70,6 +71,8 @@ ivec2 texel_at(const vec2 uv, const ivec2 texels) {
 int view_of(const int i) { return i == 0 ? VIEW_A : VIEW_B; }
 int channel_of(const int i) { return i == 0 ? CHANNEL_A : CHANNEL_B; }
 int tone_map_of(const int i) { return i == 0 ? TONE_MAP_A : TONE_MAP_B; }
+bool is_weighted(const int i) { return (i == 0 ? WEIGHTED_A : WEIGHTED_B) == 1; }
+bool is_whole(const int i) { return (i == 0 ? WHOLE_A : WHOLE_B) == 1; }
 
 vec4 load_from(sampler2DArray texels, const Layer l, const bool smooth_it, const vec2 uv) {
     if (smooth_it) return l.unit * textureLod(texels, vec3(uv, float(l.plane)), l.level);
@@ -82,9 +85,9 @@ vec4 load(const int i, const vec2 uv) {
 
 vec2 size_of(const int i) { return vec2(i == 0 ? textureSize(texels_a, 0).xy : textureSize(texels_b, 0).xy); }
 
-vec2 uv_of(const int i, const vec2 uv) { return mix(layer[i].area.xy, layer[i].area.zw, uv); }
+vec2 uv_of(const int i, const vec2 uv) { return is_whole(i) ? uv : mix(layer[i].area.xy, layer[i].area.zw, uv); }
 
-bool covers(const int i, const vec2 uv) { return view_of(i) >= 0 && inside(uv_of(i, uv)); }
+bool covers(const int i, const vec2 uv) { return view_of(i) >= 0 && (is_whole(i) || inside(uv_of(i, uv))); }
 
 /* 1.055 c^(1/2.4) - 0.055 above the linear foot, within 1.1e-4: two roots cost llvmpipe half of what a power does. */
 vec3 srgb(const vec3 linear) {
@@ -149,7 +152,7 @@ vec4 vector_of(const int i, const vec2 layer_uv, const vec4 v) {
 
 vec3 show_color(const int i, vec4 c) {
     Layer l = layer[i];
-    if (l.weighted) {
+    if (is_weighted(i)) {
         if (c.a == 0.0) return hatch();
         c.rgb /= c.a;
     }
@@ -180,7 +183,7 @@ vec3 show(const int i, const vec2 uv) {
 /* Whether layer i holds NaN or infinity there; depth may be infinite. */
 bool holds_bad(const int i, const vec2 uv) {
     vec4 texel = load(i, uv_of(i, uv));
-    if (view_of(i) == COLOR) return is_bad(texel.rgb) && !(layer[i].weighted && texel.a == 0.0);
+    if (view_of(i) == COLOR) return is_bad(texel.rgb) && !(is_weighted(i) && texel.a == 0.0);
     if (view_of(i) == LABEL || view_of(i) == MASK) return false;
     vec4 v = vector_of(i, uv_of(i, uv), texel);
     return v.w != 0.0 && is_bad(v.xyz) && !(view_of(i) == DEPTH && is_sky(v.x));
@@ -240,7 +243,8 @@ vec3 with_grid(const vec3 c, const vec2 uv) {
 
 void main() {
     vec2 frag = gl_FragCoord.xy - corner;
-    vec2 uv = (center + (frag - 0.5 * size) / zoom) / display_size;
+    if (bottom_up) frag.y = size.y - frag.y;
+    vec2 uv = center + (frag - 0.5 * size) * step;
     vec3 c = background;
     if (inside(uv)) {
         if (COMPARE == DIFFERENCE) c = show_difference(uv);

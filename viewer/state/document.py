@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
 from functools import partial
@@ -88,8 +89,9 @@ class Scan:
         Frames that were looked at, from the first on.
     """
 
-    def __init__(self, source: FrameSource):
+    def __init__(self, source: FrameSource, wake: Callable[[], object] = lambda: None):
         self._source: Any = source
+        self._wake = wake  # at the end
         self._jobs = Jobs("scan")
         self._job: Future | None = None
         self._may_run = False
@@ -143,6 +145,7 @@ class Scan:
                 frame, kinds = None, {INVALID: str(error)}
             self._found |= {k: kinds} if kinds else {}
             self._before, self.done = frame, k + 1
+        self._wake()
 
     def _kinds(self, k: int, frame: RenderedFrame, before: RenderedFrame | None) -> dict[str, str]:
         bad = replace(frame.bad, clamped=0, far=0)
@@ -218,7 +221,7 @@ class Document:
         self.notice, self.reload_fault, self.target = "", "", source.target
         self.ahead.forget()
         self.close()
-        self.doctor, self.scan = None, None if source.live else Scan(source)
+        self.doctor, self.scan = None, None if source.live else Scan(source, lambda: self.engine.wake())
 
     def close(self) -> None:
         """Stop looking at its frames."""
@@ -281,13 +284,15 @@ class Ahead:
     ----------
     cached : frozenset of int
         The slots that are there as the picture needs them.
+    waits : bool
+        For the picture to have stood long enough.
     """
 
     def __init__(self, store: Store, playback: Playback):
         self._store, self._playback = store, playback
         self.cached: frozenset[int] = frozenset()
         self._seen = self._planned = None
-        self._since = 0.0
+        self._since, self.waits = 0.0, False
         self._wants: list[Want] = []
 
     def forget(self) -> None:
@@ -307,6 +312,7 @@ class Ahead:
             store.use({recipe, *others}, playhead)
             self._seen, self._since, self._planned = seen, now, None
         due = may_run and (playback.playing or now - self._since > _STILL)
+        self.waits = may_run and not due
         if (store.changes, due) != self._planned:
             self._planned = store.changes, due
             self.cached = store.slots(recipe, picture.layers)

@@ -366,9 +366,21 @@ class Model:
 
     @property
     def at_work(self) -> bool:
-        """Whether something is shown that moves, made or measured."""
-        beside = self.survey.busy or self.studies.busy or not self.comparison.ready
-        return self.playback.playing or self.flying or self.busy or beside
+        """Whether something changes by itself, is made or measured; frames that are looked at in idle time apart."""
+        beside = self.works_beside or self._background.busy or not self.comparison.ready
+        return self.moves or self.busy or beside or self.document.ahead.waits
+
+    @property
+    def moves(self) -> bool:
+        """Whether each frame of the interface goes on with something."""
+        return self.playback.playing or self.flying or self.saving.work is not None
+
+    @property
+    def works_beside(self) -> bool:
+        """Whether frames are being measured or saved, or the doctor examines the sequence."""
+        doctor = self.document.doctor
+        examines = doctor is not None and not doctor.done
+        return self.survey.busy or self.studies.busy or self.saving.work is not None or examines
 
     @property
     def settled(self) -> bool:

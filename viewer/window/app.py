@@ -15,6 +15,7 @@ from imgui_bundle import ImVec2, imgui
 from imgui_bundle import portable_file_dialogs as dialogs
 
 from ..picture.canvas import Canvas
+from ..picture.view import Size, View
 from ..state.actions import Actions
 from ..state.model import Model
 from ..state.navigation import Flight
@@ -47,6 +48,8 @@ class App:
         Called with the window, (H, W, 3) uint8, when the present frame is drawn, once.
     closing : bool
         Whether the window is to be closed.
+    beneath : tuple or None
+        Picture that lies beneath the interface in this frame: view, upper left corner and size in the window, pixels.
     foot : tuple or None
         Middle of the picture's lower edge, screen pixels.
     """
@@ -65,6 +68,7 @@ class App:
         self._dropped: list[str] = []
         self._dialog: Any = None
         self._chosen: Callable[[str], object] = model.open  # what takes the path of the dialog
+        self.beneath: tuple[View, Size, Size] | None = None
         self.foot: tuple[float, float] | None = None
         self.canvas_size: tuple[int, int] = (0, 0)  # screen pixels
         self.picture_at: tuple[float, float] = (0.0, 0.0)  # the upper left corner of the picture's panel, screen pixels

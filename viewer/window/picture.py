@@ -51,9 +51,11 @@ def draw(app: App) -> None:
         return
     view = model.comparison.shown()
     view.line = _LINE * widgets.mark_unit()
-    texture = app.canvas.draw(view, (width, height))
-    imgui.image(imgui.ImTextureRef(texture.glo), ImVec2(width, height))
-    imgui.set_cursor_screen_pos(origin)
+    if imgui.is_window_docked() and imgui.get_io().display_framebuffer_scale.x == 1:  # it has no background
+        app.beneath = view, (int(origin.x), int(origin.y)), (width, height)
+    else:
+        imgui.image(imgui.ImTextureRef(app.canvas.draw(view, (width, height)).glo), ImVec2(width, height))
+        imgui.set_cursor_screen_pos(origin)
     imgui.invisible_button(
         "###picture",
         ImVec2(width, height),

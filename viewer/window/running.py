@@ -24,7 +24,13 @@ from .docks import apply_theme, content_scale, is_scaled
 
 _TITLE = "gffe-cl"
 _LAYOUT_VERSION = 5
-_IDLE_RATE = 0.7  # frames of the interface per second in which nothing changes, or less
+_WORK_RATE, _TOLD_RATE, _IDLE_RATE = (
+    10.0,
+    0.7,
+    0.05,
+)  # frames of the interface per second without input: while something
+# is made, while messages stand there, and where nothing changes
+_AFTER_INPUT = 0.5  # seconds in which every frame is drawn
 _LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
 
 
@@ -71,7 +77,7 @@ class _Window:
         app, params = self._app, self._params
         size = _within_screen(size or app.model.settings.window_size)
         self._may_idle = test is None
-        params.fps_idling.fps_idle = _IDLE_RATE
+        params.fps_idling.time_active_after_last_event = _AFTER_INPUT
         params.app_window_params.window_title = _TITLE
         params.app_window_params.window_geometry.size = size
         params.app_window_params.restore_previous_geometry = False
@@ -92,12 +98,20 @@ class _Window:
         callbacks.show_menus = lambda: commands.menus(app)
         callbacks.show_status = lambda: status.draw(app)
         callbacks.show_gui = self._windows
+        callbacks.before_imgui_render = self._beneath
         callbacks.before_swap = self._before_swap
         callbacks.before_exit = self._before_exit
         if test is not None:
             params.use_imgui_test_engine = True
             callbacks.register_tests = lambda: test(app)
         immapp.run(params, immapp.AddOnsParams(with_implot=True))
+
+    def _beneath(self) -> None:
+        """Draw the picture into the window: a copy of it would cost a CPU more."""
+        canvas, beneath = self._app.canvas, self._app.beneath
+        if beneath is not None:
+            canvas.draw_into(canvas.ctx.detect_framebuffer(0), *beneath)
+        self._app.beneath = None
 
     def _before_swap(self) -> None:
         app = self._app
@@ -146,7 +160,9 @@ class _Window:
         if is_new and app.docks.panel("Inspector").is_visible:
             app.docks.show("Inspector")
         self._told = told
-        self._params.fps_idling.enable_idling = self._may_idle and not model.at_work
+        idling, messages = self._params.fps_idling, status.lately(app)
+        idling.enable_idling = self._may_idle and not model.moves
+        idling.fps_idle = _WORK_RATE if model.at_work else _TOLD_RATE if messages else _IDLE_RATE
         self._params.app_shall_exit |= app.closing
 
     def _before_exit(self) -> None:

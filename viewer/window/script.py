@@ -128,7 +128,8 @@ class Director:
         if self._still < _STILL_FRAMES:
             return
         self._still, self._patience = 0, None
-        if self._until_done and _works_beside(model):
+        scan = model.document.scan
+        if self._until_done and (model.works_beside or (scan is not None and scan.busy)):
             self._time += 1 / RATE
             return
         self._until_done = False
@@ -191,13 +192,6 @@ class Director:
                 raise GffeError(app.actions.last_refusal or f"no action is called '{step.action}'")
         except GffeError as error:
             self.problem = f"{step.where}: {error}"
-
-
-def _works_beside(model: Model) -> bool:
-    """Return whether frames are being measured, the doctor examines the sequence, or something is being saved."""
-    examines = model.document.doctor is not None and not model.document.doctor.done
-    scans = model.document.scan is not None and model.document.scan.busy
-    return scans or model.survey.busy or model.studies.busy or model.saving.work is not None or examines
 
 
 def require_file(path: Path, what: str, endings: tuple[str, ...]) -> None:

@@ -7,7 +7,7 @@ from imgui_bundle import icons_fontawesome_6 as icons
 
 from gffe_cl.engine.opencl.program import first_error
 from ..picture.shown_numbers import sides_of, values_in
-from ..state.captions import value_text
+from ..state.captions import Message, value_text
 from ..state.comparing import BUILD_LETTERS
 from ..state.model import Model
 from . import widgets
@@ -21,9 +21,14 @@ _GAP = "     "
 _KERNEL_SHARE = 0.7  # of the bar, at most, if there is another message
 
 
+def lately(app: App) -> list[Message]:
+    """Return the messages that stand in the bar."""
+    return [message for message in app.model.lately(app.clock(), _SECONDS) if message.kind != "title"]
+
+
 def draw(app: App) -> None:
     model, told = app.model, False
-    shown = [message for message in model.lately(app.clock(), _SECONDS) if message.kind != "title"]
+    shown = lately(app)
     if model.engine.build_error:
         _kernel_error(model.engine.build_log, 1.0 if not shown else _KERNEL_SHARE)
         told = True
