@@ -161,9 +161,10 @@ def view(
             out.print(plain(exporter.write(export, overwrite, steps_of(progress))))
         return
     from gffe_cl.viewer.state.model import Model
+    from gffe_cl.viewer.state.saving import require_file
     from gffe_cl.viewer.state.settings import LEAST_WINDOW, Settings
     from gffe_cl.viewer.window.running import new_app, require_display, run
-    from gffe_cl.viewer.window.script import FILMS, parse, play_script, require_file, take_screenshot, unopened
+    from gffe_cl.viewer.window.script import FILMS, parse, play_script, take_screenshot, unopened
 
     if film is not None:
         require_file(film, "film", FILMS)

@@ -209,33 +209,39 @@ WRONG_STEPS = {
     "plane 2": "expected 1 to 1, which 'final' has, got 2",
     "from nowhere": "nowhere",
     "split nan": "expected 1 number, got 'nan'",
-    "steer 0,0,1,20,0": "the camera does not fly",
     "panel Nonsense": "no panel is called 'Nonsense' (expected Picture, Layers",
     "wait -5": "expected 0 to 3600 seconds, or done, got -5",
     "shot there/a.png": "there/a.png: cannot write: no such folder",
-    "home_camera": "only in a built-in scene",
     "layer upscaling.lock": "no layer is called",
+    "set levels 2\nwait -5": "expected 0 to 3600",
 }
 
 
 def test_a_step_that_cannot_be_done_is_named(tmp_path, unopened_app):
     session, path = Session(tiny_sequence.write(tmp_path / "in")), tmp_path / "steps.txt"
-    app = SimpleNamespace(model=session.model, docks=unopened_app.docks, steering=None)
+    app = SimpleNamespace(model=session.model, docks=unopened_app.docks)
     app.actions = Actions(app)
     for action in unopened_app.actions:
         app.actions.register(action)
 
     def problem(text: str) -> str | None:
         path.write_text(text)
-        app.director = Director(parse(path, app.actions), film=False)
+        try:
+            app.director = Director(parse(path, app.actions), film=False)
+        except GffeError as error:
+            return str(error)
         for step in app.director._steps:
             app.director._do(app, step)
         return app.director.problem
 
     try:
         for text, told in WRONG_STEPS.items():
-            assert f"{path}, line 1: " in (said := problem(text) or "") and told in said, (text, said)
-        assert problem("set n 3\nseek 11\nset levels off\nset motion on\nlayer frame.motion\nsplit 0.7") is None
+            assert f"{path}, line {len(text.splitlines())}: " in (said := problem(text) or "") and told in said, (
+                text,
+                said,
+            )
+        steps = "set n 3", "seek 11", "set levels off", "set motion on", "layer Depth against motion"
+        assert problem("\n".join((*steps, "layer frame: motion", "split 0.7"))) is None
         assert session.model.playback.slot == 11 and session.model.parameters.value("levels") == 0
         assert problem(f"from {tmp_path / 'in'}") is None
         assert session.model.kept.b.place == str(tmp_path / "in") and session.model.comparison.by_settings

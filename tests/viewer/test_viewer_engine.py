@@ -546,54 +546,6 @@ def test_a_scene_is_rendered_for_upscaling_as_a_run_renders_it(device):
             )
 
 
-def test_flown_poses_are_replayed(device):
-    setup = Setup(n=1)
-    with running(device, scene_source) as engine:
-        source = engine.source
-        path = [replace_position(source.camera(0, 0.0), 0.04 * s) for s in range(8)]
-        flown, own = {}, ask(engine, 5, setup, ("final",)).images["final"]
-        for slot in range(8):
-            source.fly(slot // 2, slot % 2 / 2, path[slot], 1 + slot)
-            result = ask(engine, slot, setup, ("final", "truth"))
-            assert result.moment.camera == path[slot]
-            flown[slot] = result.images
-        assert (flown[5]["final"] != own).any()
-        source.fly(3, 0.5, path[6], 9)
-        assert (ask(engine, 7, setup, ("final",)).images["final"] != flown[7]["final"]).any()
-        source.fly(3, 0.5, path[7], 10)
-        for slot in (5, 2, 0, 1, 7):
-            again = ask(engine, slot, setup, ("final", "truth")).images
-            assert all((again[name] == flown[slot][name]).all() for name in again)
-        source.fly(3, 0.0, path[0], 11)  # too late for slot 7 ...
-        assert (ask(engine, 7, setup, ("final",)).images["final"] == flown[7]["final"]).all()
-        assert source.camera(3, 0.0) == path[6]
-        source.fly(3, 0.0, path[0], 12)  # ... but not for the frame itself
-        assert ask(engine, 6, setup).moment.camera == path[0]
-        assert (ask(engine, 7, setup, ("final",)).images["final"] != flown[7]["final"]).any()
-        source.forget_flight()
-        assert (ask(engine, 5, setup, ("final",)).images["final"] == own).all()
-
-
-def test_a_flight_goes_evenly_over_what_was_skipped(device):
-    source = scene_source(device)
-    path = [replace_position(source.camera(0, 0.0), 0.1 * k) for k in range(12)]
-    for k in range(3):
-        source.fly(k, 0.0, path[0], 1)
-    source.fly(0, 0.0, path[0], 1)
-    source.fly(2, 0.0, path[2], 1)  # again, in larger steps
-    assert source.camera(1, 0.0).position == pytest.approx(path[1].position)
-    source.rendered(1)
-    source.fly(2, 0.0, path[8], 1)
-    assert source.camera(1, 0.0).position == pytest.approx(path[1].position)  # as it was rendered
-    source.fly(11, 0.0, path[11], 1)  # too far to be of that flight
-    assert source.camera(5, 0.0) == source.scene.camera(source.time(5), *SMALL)
-    assert source.camera(12, 0.0) == source.scene.camera(source.time(12), *SMALL)
-
-
-def replace_position(at, x):
-    return at.moved((-x, 0.0, 0.3 * x))
-
-
 def test_the_interface_keeps_a_core(device):
     """The viewer's device gives the same bits."""
     mine = open_viewer_device(device.info.index)

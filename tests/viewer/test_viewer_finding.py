@@ -59,7 +59,7 @@ def made(slot=1, n=1, error=0.1, seed=0, alpha=0.5, key=None):
     rendered = Camera(np.eye(4), 20.0, 20.0, WIDTH / 2 - 3 + 6, HEIGHT / 2)
     moment = SimpleNamespace(alpha=alpha, camera=CAMERA, render_camera=rendered)
     return Frame(
-        key or Key(Recipe(0, 0, Setup(n=n), ""), slot),
+        key or Key(Recipe(0, Setup(n=n), ""), slot),
         frozenset(images),
         moment,
         images,
@@ -142,7 +142,7 @@ class Surveying:
 
 
 def side(**options):
-    return Recipe(0, 0, Setup(replace(Setup().options, **options)), "")
+    return Recipe(0, Setup(replace(Setup().options, **options)), "")
 
 
 def surveyed():

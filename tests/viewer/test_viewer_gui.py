@@ -46,7 +46,7 @@ def seen(tmp_path_factory):
 
 
 CASES = (
-    *("overview", "color_bars", "story", "kernels", "dropping", "doctor", "palette_and_help", "open_by_path", "flying"),
+    *("overview", "color_bars", "story", "kernels", "dropping", "doctor", "palette_and_help", "open_by_path"),
     *("finding_frames", "neighbors", "marked_frames_and_rectangles", "walking_along_a_story", "appearance", "saving"),
     *("every_action", "restart"),
 )

@@ -645,7 +645,7 @@ def test_unused_names(tmp_path):
 
 def test_timings_are_means_of_computed_frames():
     """Each counts once, and only those that followed the frame before tell how long a picture takes."""
-    timings, recipe = Timings(), Recipe(1, 0, Setup(), "")
+    timings, recipe = Timings(), Recipe(1, Setup(), "")
 
     def add(slot, wall, submitted, **milliseconds):
         kernels = {stage: {stage: taken} for stage, taken in milliseconds.items()}

@@ -315,7 +315,7 @@ def passing(k, alpha, previous=True):
     images |= {name: np.tile(-by * STEP, (24, 32, 1)) for name, by in (("rendered.motion", 1), ("frame.motion", alpha))}
     camera = tiny_sequence.camera()
     moment = Moment(k, alpha, k + alpha, camera, camera, camera, camera if previous else None)
-    key, specs = Key(Recipe(0, 0, Setup(), ""), 0), dict.fromkeys(images, FRAME_LAYERS["final"])
+    key, specs = Key(Recipe(0, Setup(), ""), 0), dict.fromkeys(images, FRAME_LAYERS["final"])
     return Frame(key, frozenset(images), moment, images, specs, {}, 0.0, 0.0, render_size=(32, 24))
 
 

@@ -16,7 +16,6 @@ from gffe_cl.viewer.engine.reloading import WATCH_SECONDS
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 from gffe_cl.viewer.engine.store import Playhead, Store, Want
 from gffe_cl.viewer.picture.current_frame import Contents, Picture, Showing
-from gffe_cl.viewer.state.navigation import Flight
 from gffe_cl.viewer.window.timeline import runs
 
 BYTES = 1000
@@ -26,7 +25,7 @@ DEPTH = frozenset({"frame.depth", "none for this frame"})
 
 
 def recipe(name="", source=0):
-    return Recipe(source, 0, Setup(), name)
+    return Recipe(source, Setup(), name)
 
 
 def want(slot=0, layers=FINAL, name="", source=0, **more):
@@ -394,28 +393,17 @@ def test_another_sequence_in_the_same_place_is_not_taken_for_more_of_it(session,
 
 
 @pytest.mark.long
-def test_the_render_rate_of_a_flight(session):
-    """Generated frames make up for rendered ones that are fewer; the camera stays where it was flown to."""
+def test_the_render_rate(session):
+    """Generated frames make up for rendered ones that are fewer."""
     model = session.model
     model.open("corridor")
     session.until(lambda: model.source.live)
     session.settle()
-    model.flights.toggle()
-    for _ in range(20):
-        model.flights.steer(Flight((0.0, 0.0, 1.0), 1.0, 2.0, 0.0), time.perf_counter())
-        session.frame()
-        time.sleep(0.01)
-    pose = model.flights.flyer.pose.position
-    assert not np.allclose(pose, model.source.scene.camera(0.0, 8, 8).position)
     for rate, n in (("10", 5), ("15", 3), ("30", 1)):
         source = model.source
         model.set("render_rate", rate)
         session.until(lambda source=source: model.source is not source and model.contents.result is not None)
         assert (model.source.fps, model.n, model.playback.target_rate) == (float(rate), n, 60.0)
-        assert model.flying and model.playback.playing and np.array_equal(model.flights.flyer.pose.position, pose)
-        session.until(lambda: model.contents.result.moment.alpha > 0)
-        assert model.contents.result.moment.camera.position == pytest.approx(pose, abs=1e-6)
-    model.stop_flying()
     model.set("render_rate", "scene")
     session.until(lambda: model.source.fps == 30.0 and model.document.plan.fps is None)
-    assert not model.flying and model.n == 1
+    assert model.n == 1

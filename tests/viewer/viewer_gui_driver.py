@@ -103,7 +103,9 @@ class Gui:
     def picture(self) -> np.ndarray:
         """(H, W, 3) uint8: the canvas as it is on the screen."""
         return self.on_screen(
-            lambda: read(self.app.canvas._texture(self.app.canvas._targets["canvas"]))[..., :3].astype(np.int16)
+            lambda: read(self.app.canvas.draw(self.app.model.comparison.shown(), self.app.canvas_size))[..., :3].astype(
+                np.int16
+            )
         )
 
     def window(self) -> np.ndarray:
@@ -199,7 +201,7 @@ class Gui:
         model.set("n", 1)
         model.choices.overview = False
         model.choices.measuring = False
-        model.choices.arrows, model.messages = False, []
+        model.messages = []
         model.settings.displays.clear()
         model.looks.forget()
         model.pointing.pick(None)

@@ -1,9 +1,8 @@
-"""GUI cases: kernels, opening, the palette, flying."""
+"""GUI cases: kernels, opening, the palette."""
 
 from __future__ import annotations
 
 import os
-import time
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -129,52 +128,4 @@ def open_by_path(gui: Gui):
     gui.wait(lambda: model.source.name == "room", "the scene")
     gui.settle()
     assert model.source.live and not gui.app.open_path.is_open
-    gui.open(gui.sequences / "small")
-
-
-@case
-def flying(gui: Gui):
-    """A built-in scene: the camera is flown, the window follows it, and H brings it home."""
-    model = gui.model
-    gui.open("corridor")
-    gui.choose("//Modules/choice/###rendering window", "adaptive")
-    gui.settle()
-    assert model.parameters.window == "adaptive"
-    camera, before = model.contents.result.moment.camera, gui.picture()
-    start, facing = camera.position.copy(), camera.direction.copy()
-    gui.key(KEY.g)
-    assert model.flying
-    left, top, width, height = gui.area()
-    gui.point(left + width / 2, top + height / 2)
-    gui.ctx.key_down(KEY.w.value)
-    gui.ctx.mouse_down(1)
-    windowed, end, turned = False, time.perf_counter() + 90, 0
-    while turned < 30 or (not windowed and time.perf_counter() < end):
-        turned += 1
-        gui.point(left + width / 2 + 6 * (turned % 40), top + height / 2)
-        gui.frames(2)
-        windowed |= (
-            model.contents.result.moment.render_camera.intrinsics
-            != model.contents.result.moment.display_camera.intrinsics
-        )
-    gui.point(left + width / 2 + 120, top + height / 2)  # by how much it is turned in all
-    gui.ctx.mouse_up(1)
-    gui.ctx.key_up(KEY.w.value)
-    gui.frames(2)
-    assert windowed and model.view.compare == "off", "W flies"
-    model.playback.pause()
-    gui.settle()
-    camera = model.contents.result.moment.camera
-    assert np.linalg.norm(camera.position - start) > 0.1 and np.abs(camera.direction - facing).max() > 0.05
-    assert (gui.picture() != before).any(-1).mean() > 0.3
-    gui.shot("flying")
-    gui.key(KEY.h)
-
-    def away() -> float:
-        moment, source = model.contents.result.moment, model.source
-        home = source.scene.camera(source.time(moment.k, moment.alpha), source.width, source.height)
-        return float(np.abs(moment.camera.position - home.position).max())
-
-    gui.wait(lambda: away() == 0.0, "the scene's own camera")  # provisionally, if many frames have passed
-    assert not model.flying
     gui.open(gui.sequences / "small")

@@ -111,10 +111,9 @@ class Engine:
 
     def recipe(self, setup: Setup) -> Recipe:
         """Return everything that slots made with `setup` depend on now. May be called from any thread."""
-        flight = self.source.flight if self.source is not None else 0
         kernels = setup.kernels or (self._kernels.identity if self._kernels is not None else "")
         version = version_of(setup.place) if setup.place else weights_of(setup.options)
-        return Recipe(self._opened, flight, replace(setup, kernels=""), kernels, version)
+        return Recipe(self._opened, replace(setup, kernels=""), kernels, version)
 
     def open_source(self, make: Callable[[Device], FrameSource]) -> None:
         """Open a source with `make` on the thread. Then it is `source`, and nothing of the one before is made any more.
@@ -258,12 +257,6 @@ class Engine:
         """Make what is wanted."""
         source = self.source
         assert source is not None  # or nothing would be wanted of it
-        if want.pose is not None and source.flight != want.key.recipe.flight:
-            k, j = divmod(want.key.slot, want.key.recipe.setup.n + 1)
-            with self._news:  # or the camera would be flown on after it was put back
-                if self.store.next() != want:
-                    raise Interrupted
-                source.fly(k, j / (want.key.recipe.setup.n + 1), want.pose, want.key.recipe.flight)
         self.store.put(want, self._inspected(want) if want.pixel else self._made(want))
         source.look_closer()
 

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 
 import numpy as np
 
@@ -27,18 +27,13 @@ class Setup:
 
 @dataclass(frozen=True)
 class Recipe:
-    """Dependencies of a source's slots: how often it was opened, flown poses, the setup, version of kernels and of
+    """Dependencies of a source's slots: how often it was opened, the setup, version of kernels and of
     weights. Stored pictures have a version instead of `weights`."""
 
     source: int
-    flight: int
     setup: Setup
     kernels: str
     weights: str = ""
-
-    def continues(self, other: Recipe) -> bool:
-        """Return whether a pipeline of one of them can go on with the other's slots."""
-        return replace(self, flight=other.flight) == other
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ class Seeker:
         messages about them."""
         source = self.source
         self.shot = None  # or an interruption would leave one of another slot
-        continues = self.continues_to(k, provisional) and not source.outdated(k, alpha)
+        continues = self.continues_to(k, provisional)
         frames = self.frames_to(k, provisional, continues)
         if not continues:
             self._restart()
@@ -289,7 +289,7 @@ class SlotMaker:
     def steps_to(self, key: Key) -> int:
         """Return the number of rendered frames to submit until a slot can be made."""
         k, seeker = key.slot // (key.recipe.setup.n + 1), self._seeker
-        continues = self.key is not None and self.key.recipe.continues(key.recipe)
+        continues = self.key is not None and self.key.recipe == key.recipe
         continues = continues and seeker.continues_to(k, key.provisional)
         return len(seeker.frames_to(k, key.provisional, continues))
 

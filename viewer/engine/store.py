@@ -7,7 +7,6 @@ from collections import OrderedDict
 from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, field, replace
 
-from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection
 from .messages import Failure, Frame, Key, Recipe
 
@@ -22,8 +21,7 @@ class Want:
     """A slot that is wanted: `layers` of it, or the values of display pixel `pixel`.
 
     `keep`: it stays in the store for as long as there is room. `hold`: it is there for as long as it is wanted, even if
-    there is no room. `pose`: display camera that is flown to that slot, a new one for each number of the recipe's
-    flight. `preview`: it is for the eye, so a provisional slot is made first where the exact one takes long.
+    there is no room. `preview`: it is for the eye, so a provisional slot is made first where the exact one takes long.
     """
 
     key: Key
@@ -31,7 +29,6 @@ class Want:
     pixel: Pixel | None = None
     keep: bool = True
     hold: bool = True
-    pose: Camera | None = field(default=None, compare=False)
     preview: bool = field(default=False, compare=False)
 
     @property

@@ -94,11 +94,16 @@ class Contents:
         return None if self.result is None or name is None else self.result.images.get(name)
 
     def find(self, text: str) -> str | None:
-        """Return the full name of a layer, given by it or by the buffer's name alone; None if there is none."""
-        found = [spec.name for spec in self.layers]
-        if text in found:
-            return text
-        return next((name for name in found if name.partition(".")[2] == text), None)
+        """Return the full name of a layer, given by it, by the buffer's name alone, or as it is displayed ("Depth
+        against motion" or "frame: Depth"); None if there is none."""
+        forms = (
+            lambda spec: spec.name,
+            lambda spec: spec.name.partition(".")[2],
+            lambda spec: spec.label,
+            lambda spec: f"{spec.group}: {spec.label}",
+        )
+        found = (spec.name for form in forms for spec in self.layers if form(spec).casefold() == text.casefold())
+        return next(found, None)
 
     def why_not(self, name: str) -> str | None:
         """Return why a layer cannot be shown in this sequence; None if it can."""
@@ -227,7 +232,7 @@ class Picture:
     def is_like(self, other: Picture) -> bool:
         """Return whether both are of the same settings and layers: one may be shown on the way to the other."""
         return (len(self.wants), self.follows) == (len(other.wants), other.follows) and all(
-            mine.key.recipe.continues(its.key.recipe) and mine.layers == its.layers
+            mine.key.recipe == its.key.recipe and mine.layers == its.layers
             for mine, its in zip(self.wants, other.wants, strict=True)
         )
 

@@ -18,6 +18,7 @@ if TYPE_CHECKING:
     from .playback import Playback
 
 _NEAR = 3  # names that are suggested where one is unknown
+_LONGEST_WAIT = 3600.0  # seconds
 
 MODIFIERS = ("Ctrl", "Alt", "Shift", "Super")  # in the order in which they are written
 _ALIKE = ("Space", "Home", "End", "Insert", "Delete", "Backspace", "Enter", "Escape", "Tab")
@@ -80,9 +81,10 @@ class Action:
 
     `id` names it in the program and in scripts, `label` and `group` for people. `shortcut` is text ("Ctrl+O") or "",
     `also` holds further ones. `run(app)` does it, or with `takes`, the form of an argument, `run(app, argument)`: only
-    scripts have arguments. `enabled(app)` gives the reason why it cannot run now, None if it can; `checked(app)` the
-    state of a switch, None for no switch. `release(app)`, if given, is called when its key goes up. `repeat`: a key
-    that is kept down runs it again and again. `anywhere`: its shortcut works over an open window, too.
+    scripts have arguments, of which `check(argument)` refuses those that are wrong wherever it runs. `enabled(app)`
+    gives the reason why it cannot run now, None if it can; `checked(app)` the state of a switch, None for no switch.
+    `release(app)`, if given, is called when its key goes up. `repeat`: a key that is kept down runs it again and again.
+    `anywhere`: its shortcut works over an open window, too.
     """
 
     id: str
@@ -98,6 +100,7 @@ class Action:
     anywhere: bool = False
     also: tuple[str, ...] = ()
     takes: str = ""
+    check: Callable[[str], object] = lambda text: None
 
     @property
     def shortcuts(self) -> list[Shortcut]:
@@ -241,15 +244,21 @@ def _words(text: str) -> list[str]:
 # ---- arguments of actions ----------------------------------------------------------------------------------------
 
 
-def slot_of(text: str, playback: Playback) -> int:
-    """Return the slot written as "9", its number on the timeline, "4+1/2", or "4+0", a rendered frame. Raises
-    GffeError."""
+def frame_of(text: str) -> re.Match:
+    """Return the parts of a slot that is written as `slot_of` has it. Raises GffeError."""
     found = re.fullmatch(r"(\d+)(?:\s*\+\s*(?:0|(\d+)/(\d+)))?", text.strip(), re.ASCII)
     if found is None or (found[3] and not 0 < int(found[2]) < int(found[3])):
         raise GffeError(
             "expected a frame's number on the timeline, generated ones counted (9), or a rendered frame's and a part"
             f" of the way to the next (4+1/2; 4+0: itself), got '{text}'"
         )
+    return found
+
+
+def slot_of(text: str, playback: Playback) -> int:
+    """Return the slot written as "9", its number on the timeline, "4+1/2", or "4+0", a rendered frame. Raises
+    GffeError."""
+    found = frame_of(text)
     parts, slot = playback.n + 1, Fraction(int(found[1]))
     if "+" in text:
         slot = (slot + (Fraction(int(found[2]), int(found[3])) if found[3] else 0)) * parts
@@ -281,6 +290,14 @@ def numbers(text: str, count: int) -> list[float]:
     if len(values) != count or not all(map(math.isfinite, values)):
         raise GffeError(f"expected {count} number{'s, with commas' * (count > 1)}, got '{text}'")
     return values
+
+
+def seconds_of(text: str) -> float:
+    """Return a time to wait, seconds; 0 for "done". Raises GffeError."""
+    seconds = 0.0 if text == "done" else numbers(text, 1)[0]
+    if not 0 <= seconds <= _LONGEST_WAIT:
+        raise GffeError(f"expected 0 to {_LONGEST_WAIT:.0f} seconds, or done, got {text}")
+    return seconds
 
 
 def nearest(text: str, known: list[str]) -> str:

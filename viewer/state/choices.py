@@ -31,8 +31,8 @@ class Choices:
     parameters, kept, comparison : Parameters, KeptSettings, Comparison
         A's settings, those that are kept, and how A and B are compared.
     playback : Playback
-    overview, arrows, measuring : bool
-        All layers are shown; arrows over motion; every shown frame is measured.
+    overview, measuring : bool
+        All layers are shown; every shown frame is measured.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class Choices:
         self.framing, self.looks = Framing(self.view), Looks(contents, settings.displays)
         self.kept = KeptSettings()
         self.comparison = Comparison(self.view, contents, self.looks, self.kept, background)
-        self.overview = self.arrows = self.measuring = False
+        self.overview = self.measuring = False
         playback.restore(settings.playback)
         self.parameters.restore(settings.options)
         self.comparison.restore(settings.compare)

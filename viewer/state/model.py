@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import sys
 from collections.abc import Callable
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -24,7 +23,7 @@ from .captions import Captions, Message
 from .choices import Choices
 from .comparing import BUILD_LETTERS, Sides
 from .document import Doctor, Document
-from .navigation import Flights, Pointing, Walk
+from .navigation import Pointing, Walk
 from .playback import Playback
 from .saving import Saving, Subject
 from .settings import Settings
@@ -77,7 +76,6 @@ class Model:
         self.captions = Captions(self.contents, self.view, self.looks, self.comparison, self.playback)
         subject = Subject(self.contents, self.playback, self.view, self.comparison.shown, lambda: self.settled)
         self.saving = Saving(subject, self.say)
-        self.flights = Flights(self.contents, self.playback)
         self._inspection_fault, self._statistics = "", Derived(beside)
         self.timings = Timings()
         self.recipe = self.engine.recipe(self.setup)
@@ -110,10 +108,6 @@ class Model:
         self.saving.cancel()
         self.playback.open(source.count, source.fps, document.times(source.count), keep=keep_place)
         self.pointing.open(self.contents.size)
-        if keep_place and self.flying:
-            self.playback.play()  # at another render rate, from where the camera is
-        else:
-            self.flights.flyer = None
         if not keep_place:
             self.looks.forget()
             self.timings = Timings()
@@ -164,9 +158,9 @@ class Model:
 
     @property
     def _passes(self) -> bool:
-        """Whether the picture changes by itself, or by dragging: then each one that is begun is shown, of dragging at
+        """Whether the picture changes by playing or dragging: then each one that is begun is shown, of dragging at
         least provisionally."""
-        return self.playback.playing or self.flying or (self.playback.scrubbing and not self.showing.is_preview)
+        return self.playback.playing or (self.playback.scrubbing and not self.showing.is_preview)
 
     @property
     def _layers(self) -> frozenset[str]:
@@ -176,16 +170,12 @@ class Model:
     def _due(self, slot: int) -> Picture:
         """Return the picture of a slot, as it is looked at now."""
         layers = self._layers
-        flyer = self.flights.at(slot) if self.flying else None
 
         def want(recipe: Recipe, layers: frozenset[str], slot: int = slot) -> Want:
-            if flyer is not None:
-                key = Key(replace(recipe, flight=flyer.flight), slot, provisional=True)
-                return Want(key, layers, keep=False, pose=flyer.pose)
             return Want(Key(recipe, slot), layers, preview=True)
 
         setup, other = self.choices.second, self.comparison.slot_of_b(slot, self.n, self.playback.count)
-        if setup is None or other is None or (other != slot and flyer is not None):
+        if setup is None or other is None:
             self.comparison.same_settings = False
             return Picture(want(self.recipe, layers))
         second = self.engine.recipe(setup)
@@ -202,9 +192,9 @@ class Model:
         if awaited is not None and self.inspects and not self.showing.failed:
             wants += self.pointing.wants(awaited.a.key)
         wants += showing.following
-        result, beside = self.contents.result, not (self.flying or self.choices.overview or self.saving.work)
+        result, beside = self.contents.result, not (self.choices.overview or self.saving.work)
         kept = self.kept.b
-        idle = not (self.flying or self.saving.work or self.playback.playing) and not showing.is_waiting
+        idle = not (self.saving.work or self.playback.playing) and not showing.is_waiting
         a, b = self.recipe, None if kept is None else self.engine.recipe(kept.setup(self.n))
         slots, contents = range(self.playback.first, self.playback.last + 1), self.contents
         shown, exposure = (self.view.a, self.pointing.picked, slots), self.source.exposure
@@ -373,7 +363,7 @@ class Model:
     @property
     def moves(self) -> bool:
         """Whether each frame of the interface goes on with something."""
-        return self.playback.playing or self.flying or self.saving.work is not None
+        return self.playback.playing or self.saving.work is not None
 
     @property
     def works_beside(self) -> bool:
@@ -402,7 +392,7 @@ class Model:
         """Whether a still picture shows the playhead's slot, made with the present settings, kernels and frames."""
         if self.showing.is_preview:
             return False
-        if self.contents.result is None or self.flying or self.playback.playing:
+        if self.contents.result is None or self.playback.playing:
             return True
         return self.showing.shows_slot_due
 
@@ -429,15 +419,6 @@ class Model:
 
     def show_layer(self, name: str) -> None:
         self.view.a = name
-
-    @property
-    def flying(self) -> bool:
-        return self.flights.flyer is not None and self.flights.flyer.active
-
-    def stop_flying(self) -> None:
-        self.flights.flyer = None
-        self.store.want(())
-        self.source.forget_flight()
 
     # ---- telling -------------------------------------------------------------------------------------------
 

@@ -1,15 +1,10 @@
-"""Ways through a picture and a scene: zoom and center, pixels, links of a story, and flying the camera."""
+"""Ways through a picture and a scene: zoom and center, pixels, and links of a story."""
 
 from __future__ import annotations
 
-import itertools
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
-import numpy as np
-
-from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.inspection.buffers import moved
 from gffe_cl.engine.inspection.explain.motion_trail import WayPoint
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Link, Story
@@ -164,87 +159,6 @@ class Pointing:
 
     def _is_inside(self, pixel: Pixel | None) -> bool:
         return pixel is not None and all(0 <= at < size for at, size in zip(pixel, self._size, strict=True))
-
-
-_SPEED = 2.0  # world units per second
-_STEEPEST = math.radians(85)
-_LONGEST = 0.15  # seconds that are flown at once
-
-
-class Flight(NamedTuple):
-    """Steering of one interface frame: (right, up, forward) in −1 … 1 and times faster; turns in degrees, and `spin`,
-    (yaw, pitch) in degrees per second."""
-
-    move: tuple[float, float, float]
-    faster: float
-    yaw: float
-    pitch: float
-    spin: tuple[float, float] = (0.0, 0.0)
-
-
-class Flyer:
-    """A camera that is steered; `pose` is where it is now (display pixels)."""
-
-    def __init__(self, start: Camera):
-        self.active = True
-        self._start = start
-        self._position = start.position.copy()
-        direction = start.direction
-        self._yaw = math.atan2(direction[0], -direction[2])
-        self._pitch = math.asin(min(max(direction[1], -1.0), 1.0))
-        self._then: float | None = None
-        self.moved = True  # since it was last set to False
-        self.flight = 0  # number of the pose at `slot`, see Recipe
-        self.slot = -1  # for which it is flown
-        self.pose = start
-
-    def steer(self, flight: Flight, now: float) -> None:
-        """Move on by the time since the last call (seconds) and turn."""
-        elapsed = 0.0 if self._then is None else min(now - self._then, _LONGEST)
-        self._then = now
-        yaw, pitch = (turn + elapsed * spin for turn, spin in zip((flight.yaw, flight.pitch), flight.spin, strict=True))
-        moving = any(flight.move) and elapsed > 0
-        if not (moving or yaw or pitch):
-            return
-        self.moved = True
-        self._yaw += math.radians(yaw)
-        self._pitch = min(max(self._pitch - math.radians(pitch), -_STEEPEST), _STEEPEST)
-        level = math.cos(self._pitch)
-        forward = np.array([math.sin(self._yaw) * level, math.sin(self._pitch), -math.cos(self._yaw) * level])
-        right = np.array([math.cos(self._yaw), 0.0, math.sin(self._yaw)])
-        axes = np.stack([right, (0.0, 1.0, 0.0), forward])
-        self._position += np.asarray(flight.move) @ axes * (_SPEED * flight.faster * elapsed)
-        self.pose = Camera.from_pose(self._position, forward, (0.0, 1.0, 0.0), *self._start.intrinsics)
-
-
-class Flights:
-    """Flying of the camera; `flyer` is None while it has not been flown."""
-
-    def __init__(self, contents: Contents, playback: Playback):
-        self._contents, self._playback = contents, playback
-        self._numbers = itertools.count(1)
-        self.flyer: Flyer | None = None
-
-    def toggle(self) -> None:
-        """Fly from where the camera is, or stop where it is."""
-        if self.flyer is not None and self.flyer.active:
-            self.flyer.active = False
-        elif self._contents.result is not None:
-            self.flyer = Flyer(self._contents.result.moment.camera)
-            self._playback.play()
-
-    def steer(self, flight: Flight | None, now: float) -> None:
-        """Steer the camera; `now`: of the clock that playback goes by, seconds."""
-        if self.flyer is not None and flight is not None:
-            self.flyer.steer(flight, now)
-
-    def at(self, slot: int) -> Flyer:
-        """Return the camera, whose pose has a new number if it is another one, or for another slot."""
-        flyer = self.flyer
-        assert flyer is not None  # it flies
-        if flyer.moved or flyer.slot != slot:
-            flyer.moved, flyer.slot, flyer.flight = False, slot, next(self._numbers)
-        return flyer
 
 
 _MOST = 50

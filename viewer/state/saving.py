@@ -227,3 +227,11 @@ class Saving:
         if self._writing is not None:
             wait([self._writing], _PATIENCE)
         self._background.close()
+
+
+def require_file(path: Path, what: str, endings: tuple[str, ...]) -> None:
+    """Raise GffeError if `what`, a film or a picture, cannot be written to `path`."""
+    if path.suffix.lower() not in endings:
+        raise GffeError(f"{path}: a {what}'s name must end in {' or '.join(endings)}")
+    if not path.absolute().parent.is_dir():
+        raise GffeError(f"{path}: cannot write: no such folder")

@@ -18,7 +18,6 @@ from ..picture.canvas import Canvas
 from ..picture.view import Size, View
 from ..state.actions import Actions
 from ..state.model import Model
-from ..state.navigation import Flight
 from .docks import Docks
 from .windows import Help, OpenPath, Palette, Stack
 
@@ -77,7 +76,6 @@ class App:
         self.display_height = 200.0  # of the display settings below the list of layers, as last drawn
         self.inspected: tuple = (None, [])  # an inspection, and its rows in the inspector
         self.row_canvas: Canvas | None = None  # of the panel that shows a row over time
-        self.steering: Flight | None = None  # of a script, instead of keys and mouse
         self.director: Any = None  # of a script: it lets time pass, and saves pictures of the window
         self._current_at = -math.inf  # clock, when the picture was the requested one
 

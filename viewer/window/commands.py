@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from functools import partial
 from pathlib import Path
 
@@ -12,15 +12,15 @@ from gffe_cl.captures.scenes import SCENES, SITUATIONS
 from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.options import Option
 from ..engine.figures import QUANTITIES
-from ..state.actions import Action, Actions, found_layer, numbers, slot_of
+from ..state.actions import Action, Actions, found_layer, frame_of, numbers, seconds_of, slot_of
 from ..state.captions import Message
 from ..state.comparing import FORMULAS, NEIGHBORS, WAYS
 from ..state.model import Model
-from ..state.navigation import Flight
 from ..state.parameters import ALL, parsed
 from ..state.presets import command_line
-from ..state.saving import LayersWork, PictureWork
+from ..state.saving import LayersWork, PictureWork, require_file
 from .app import App
+from .docks import PANELS
 
 _EXPOSURE_STEP = 0.5
 LAYERS, _SCRIPT = "Layer", "Script"  # groups of actions that are in no menu
@@ -38,7 +38,6 @@ def needs(holds: Callable[[Model], object], reason: str) -> Callable[[App], str 
     return lambda app: opened(app) or (None if holds(app.model) else reason)
 
 
-live = needs(lambda model: model.source.live, "only in a built-in scene")
 recorded = needs(lambda model: not model.source.live, "only of recorded frames")
 on_disk = needs(lambda model: model.source.target, "only of a sequence on disk or a scene")
 savable = needs(lambda model: model.saving.work is None, "something is being saved")
@@ -194,10 +193,6 @@ ACTIONS = (
         for name, quantity in QUANTITIES.items()
     ),
     Action("back", "Back to where the link was", "Find", "Backspace", lambda app: app.model.walk.back(), has_left),
-    Action("fly", "Fly the camera", "Camera", "G", lambda app: app.model.flights.toggle(), live,
-           lambda app: app.model.flying,
-           tooltip="W A S D and Q E move, the right mouse button turns, Shift is faster"),
-    Action("home_camera", "Back to the scene's camera", "Camera", "H", lambda app: app.model.stop_flying(), live),
     Action("reload_kernels", "Reload kernels", "Tools", "F5", lambda app: app.model.engine.reload_kernels()),
     Action("palette", "Command palette", "Tools", "Ctrl+P", lambda app: app.palette.open()),
     Action("doctor", "Examine the sequence", "Tools", "Ctrl+D", lambda app: app.examine(), recorded,
@@ -230,9 +225,17 @@ def _show_plane(app: App, text: str) -> None:
     app.model.looks.choose_plane(spec.name, int(plane) - 1)
 
 
+def _among(known: Iterable[str], what: str) -> Callable[[str], None]:
+    """Return what refuses names that are not among those that are known."""
+
+    def check(name: str) -> None:
+        if name not in known:
+            raise GffeError(f"{what} '{name}' (expected {', '.join(known)})")
+
+    return check
+
+
 def _compare(app: App, way: str) -> None:
-    if way not in WAYS:
-        raise GffeError(f"expected {', '.join(WAYS)}, got '{way}'")
     if reason := app.model.comparison.why_not(way):
         raise GffeError(reason)
     app.model.comparison.set(way)
@@ -261,8 +264,7 @@ def _mark(app: App, text: str) -> None:
 def _set(app: App, text: str) -> None:
     name, _, value = text.partition(" ")
     option, value, parameters = ALL.get(name), value.strip(), app.model.parameters
-    if option is None:
-        raise GffeError(f"unknown option '{name}' (expected {', '.join(ALL)})")
+    assert option is not None  # as it was checked
     if reason := parameters.why_not(name):
         raise GffeError(f"{option.label}: {reason}")
     if value in ("on", "off") and option.is_module:
@@ -277,50 +279,39 @@ def _value(option: Option, text: str) -> object:
     return text == "on" if option.kind is bool and text in ("on", "off") else text
 
 
-def _show_panel(app: App, name: str) -> None:
-    if name not in app.docks.names:
-        raise GffeError(f"no panel is called '{name}' (expected {', '.join(app.docks.names)})")
-    app.docks.show(name)
-
-
-def _steer(app: App, text: str) -> None:
-    if text == "none":
-        app.steering = None
-        return
-    right, up, forward, yaw, pitch = numbers(text, 5)
-    if not app.model.flying:
-        raise GffeError("the camera does not fly (expected the action fly before it)")
-    app.steering = Flight((right, up, forward), 1.0, 0.0, 0.0, (yaw, pitch))
-
-
 SCRIPT = (
     Action("seek", "Go to a frame", _SCRIPT, "",
            lambda app, text: app.model.playback.seek(slot_of(text, app.model.playback)), opened,
-           takes="FRAME: its number on the timeline, generated ones counted (9), or 4+1/2 (4+0: rendered frame 4)"),
+           takes="FRAME: its number on the timeline, generated ones counted (9), or 4+1/2 (4+0: rendered frame 4)",
+           check=frame_of),
     Action("layer", "Show a layer", _SCRIPT, "",
            lambda app, name: app.model.show_layer(found_layer(app.model.contents, name)), opened, takes="NAME"),
     Action("plane", "Show a plane of the layer", _SCRIPT, "", _show_plane, opened, takes="N, from 1"),
     Action("from", "B from a folder", _SCRIPT, "", lambda app, place: app.model.sides.load_b(place), opened,
            takes="FOLDER: another sequence, an output of gffe run, or kernels"),
     Action("with", "Compare with a layer", _SCRIPT, "", _with, opened, takes="NAME"),
-    Action("compare", "Compare A with B", _SCRIPT, "", _compare, opened, takes=", ".join(WAYS)),
-    Action("split", "Move the line of the wipe", _SCRIPT, "", _split, takes="SHARE of the width, 0 to 1"),
-    Action("pixel", "Tell the story of a pixel", _SCRIPT, "", _pick, opened, takes="X,Y; none: no more"),
-    Action("rectangle", "Tell the statistics of a rectangle", _SCRIPT, "", _mark, opened, takes="X,Y,WIDTH,HEIGHT"),
+    Action("compare", "Compare A with B", _SCRIPT, "", _compare, opened, takes=", ".join(WAYS),
+           check=_among(WAYS, "no comparison is called")),
+    Action("split", "Move the line of the wipe", _SCRIPT, "", _split, takes="SHARE of the width, 0 to 1",
+           check=lambda text: numbers(text, 1)),
+    Action("pixel", "Tell the story of a pixel", _SCRIPT, "", _pick, opened, takes="X,Y; none: no more",
+           check=lambda text: text == "none" or numbers(text, 2)),
+    Action("rectangle", "Tell the statistics of a rectangle", _SCRIPT, "", _mark, opened, takes="X,Y,WIDTH,HEIGHT",
+           check=lambda text: numbers(text, 4)),
     Action("set", "Set a parameter or module", _SCRIPT, "", _set,
-           takes="OPTION VALUE, which is on, off, a number or a choice"),
-    Action("panel", "Bring a panel to the front", _SCRIPT, "", _show_panel, takes="NAME"),
+           takes="OPTION VALUE, which is on, off, a number or a choice",
+           check=lambda text: _among(ALL, "unknown option")(text.partition(" ")[0])),
+    Action("panel", "Bring a panel to the front", _SCRIPT, "", lambda app, name: app.docks.show(name), takes="NAME",
+           check=_among(PANELS, "no panel is called")),
     Action("type", "Type into the command palette", _SCRIPT, "",
            lambda app, text: app.palette.close() if text == "none" else app.palette.open(text),
            takes="TEXT; none: close it"),
-    Action("steer", "Steer the camera that flies", _SCRIPT, "", _steer,
-           takes="RIGHT,UP,FORWARD,YAW,PITCH: keys held (-1 to 1) and degrees per second; none: no more"),
     Action("say", "Show a title over the picture", _SCRIPT, "",
            lambda app, text: setattr(app.model, "messages", [Message(text, "title")]), takes="TEXT"),
     Action("wait", "Let time pass", _SCRIPT, "", lambda app, text: app.director.wait(text),
-           takes="SECONDS; done: until nothing is measured, examined or saved"),
+           takes="SECONDS; done: until nothing is measured, examined or saved", check=seconds_of),
     Action("shot", "Save a picture of the window", _SCRIPT, "", lambda app, text: app.director.shoot(app, Path(text)),
-           takes="FILE.png"),
+           takes="FILE.png", check=lambda text: require_file(Path(text), "picture", (".png",))),
 )  # fmt: skip
 
 

@@ -93,12 +93,6 @@ def _display(model: Model) -> None:
             "Motion of this length is fully bright",
         )
         widgets.toggle(
-            "arrows", model.choices.arrows, lambda on: setattr(model.choices, "arrows", on), "Arrows over the picture"
-        )
-        imgui.same_line()
-        if imgui.get_content_region_avail().x < imgui.calc_text_size("reversed").x + 2 * imgui.get_frame_height():
-            imgui.new_line()
-        widgets.toggle(
             "reversed", display.reverse, lambda on: change(reverse=on), "From then to now instead of now to then"
         )
     elif view in ("depth", "scalar", "world"):

@@ -8,7 +8,7 @@ import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui
 
 from gffe_cl.engine.inspection import names
-from ..picture.shown_numbers import Numbers, numbers_of, texels
+from ..picture.shown_numbers import Numbers, numbers_of
 from ..picture.view import View
 from ..state.captions import layer_text, slot_text
 from ..state.model import Model
@@ -23,7 +23,6 @@ _GRIP = 10.0  # ... and on both sides of it, where it is taken hold of
 _VALUES = 3  # that are written into a pixel where it is large enough: so many ...
 _LEAST_LETTERS = 8.0  # ... in letters of at least this size, screen pixels at the usual size of letters ...
 _LETTERS_WIDE, _LETTER = 4, 0.55  # ... of which as many have room, each so wide, em
-_ARROW_SPACING = 24.0  # screen pixels
 _WARM = (1.0, 0.7, 0.25, 1.0)
 _WAY = (0.55, 1.0, 0.5, 1.0)
 _NEAR = 7.0  # screen pixels
@@ -68,8 +67,6 @@ def draw(app: App) -> None:
     stale = app.stale_for(_STILL_FRESH)
     if stale:
         marks.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), imgui.get_color_u32(_GRAY))
-    if model.choices.arrows:
-        _arrows(model, place, marks)
     _numbers(model, view, place, marks)
     _way(model, place, marks)
     _trajectory(model, place, marks)
@@ -149,40 +146,6 @@ def _mouse(app: App, place) -> None:
 
 def _distance(a, b) -> float:
     return math.hypot(a.x - b.x, a.y - b.y)
-
-
-def _arrows(model: Model, place, marks) -> None:
-    """Draw the motion of the layer A at a grid of places."""
-    grid = texels(model.view.a, model.looks.of(model.view.a), model.contents)
-    if grid is None or grid.spec.view != "motion":
-        return
-    image, scale, start = grid.image, grid.scale, grid.start
-    height, width = image.shape[:2]
-    step = max(_ARROW_SPACING / place.view.zoom, 1.0)
-    (left, top), (right, bottom) = (
-        place.to_display(place.origin),
-        place.to_display(ImVec2(place.origin.x + place.size[0], place.origin.y + place.size[1])),
-    )
-    xs = np.arange(max(left, 0) + step / 2, min(right, model.source.width), step)
-    ys = np.arange(max(top, 0) + step / 2, min(bottom, model.source.height), step)
-    color = imgui.get_color_u32((1.0, 1.0, 1.0, 0.9))
-    sign = -1.0 if grid.display.reverse else 1.0
-    for y in ys:
-        for x in xs:
-            column, row = int((x - start[0]) / scale[0]), int((y - start[1]) / scale[1])
-            mx, my = image[min(max(row, 0), height - 1), min(max(column, 0), width - 1), :2]
-            if not (math.isfinite(mx) and math.isfinite(my)) or mx * mx + my * my < 0.01:
-                continue
-            foot, end = place.to_screen(x, y), place.to_screen(x + sign * mx * scale[0], y + sign * my * scale[1])
-            marks.add_line(foot, end, color, 1.0)
-            length = math.hypot(end.x - foot.x, end.y - foot.y)
-            if length > 3:
-                ux, uy = (end.x - foot.x) / length * 4, (end.y - foot.y) / length * 4
-                tips = (
-                    ImVec2(end.x - ux - uy / 2, end.y - uy + ux / 2),
-                    ImVec2(end.x - ux + uy / 2, end.y - uy - ux / 2),
-                )
-                marks.add_triangle_filled(end, *tips, color)
 
 
 def _numbers(model: Model, view: View, place, marks) -> None:

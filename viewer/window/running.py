@@ -16,7 +16,6 @@ from gffe_cl.engine.core.errors import GffeError
 from ..picture.canvas import Canvas
 from ..state.actions import IMGUI_KEYS, Actions
 from ..state.model import Model
-from ..state.navigation import Flight
 from ..state.settings import can_save
 from . import commands, status
 from .app import App
@@ -153,8 +152,6 @@ class _Window:
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers
             commands.register_layers(app)
-        by_hand = None if app.stack.covers else flight(model)
-        model.flights.steer(app.steering if app.steering and model.flying else by_hand, app.clock())
         told = model.pointing.picked, model.pointing.rectangle
         is_new = any(one and one != before for one, before in zip(told, self._told, strict=True))
         if is_new and app.docks.panel("Inspector").is_visible:
@@ -179,8 +176,7 @@ class _Window:
 
     def _windows(self) -> None:
         app = self._app
-        taken = FLIGHT_KEYS if app.model.flying else frozenset()
-        if refused := dispatch(app.actions, taken, app.stack.covers):
+        if refused := dispatch(app.actions, app.stack.covers):
             app.model.say(refused)
         app.open_given()
         app.stack.draw()
@@ -248,17 +244,14 @@ def _words(reason: Any) -> str:
 
 # ---- keyboard and mouse --------------------------------------------------------------------------------------------
 
-FLIGHT_KEYS = frozenset("WASDQE")
-_TURN = 0.25  # degrees per pixel of mouse
-
 _MODIFIERS = {name: getattr(imgui.Key, f"mod_{name.lower()}") for name in ("Ctrl", "Shift", "Alt", "Super")}
 _KEYS = {getattr(imgui.Key, attribute): name for attribute, name in IMGUI_KEYS.items() if hasattr(imgui.Key, attribute)}
 
 
-def dispatch(actions: Actions, taken: frozenset[str] = frozenset(), covered: bool = False) -> str | None:
-    """Run the actions of pressed keys, and end those of released keys. Keys in `taken` have another function now.
-    While a window is open over the panels (`covered`) or text is typed, only actions that work anywhere run. Returns
-    why the action of a pressed key cannot run, None without one."""
+def dispatch(actions: Actions, covered: bool = False) -> str | None:
+    """Run the actions of pressed keys, and end those of released keys. While a window is open over the panels
+    (`covered`) or text is typed, only actions that work anywhere run. Returns why the action of a pressed key cannot
+    run, None without one."""
     io = imgui.get_io()
     covered |= io.want_text_input
     if covered or io.app_focus_lost:
@@ -268,8 +261,6 @@ def dispatch(actions: Actions, taken: frozenset[str] = frozenset(), covered: boo
         return None
     refused = None
     for key, name in _KEYS.items():
-        if name in taken and not modifiers - {"Shift"}:
-            continue
         if imgui.is_key_pressed(key, False):
             actions.dispatch(modifiers, name, covered=covered)
             refused = actions.last_refusal or refused
@@ -284,19 +275,3 @@ def _is_or_was_down(key: imgui.Key) -> bool:
     """Return whether a modifier is down, or was let go in this frame: where frames are long, that is after the key that
     was pressed with it."""
     return imgui.is_key_down(key) or imgui.is_key_released(key)
-
-
-def flight(model: Model) -> Flight | None:
-    """Return the steering of the camera now; None while it is not flown."""
-    io = imgui.get_io()
-    if not model.flying or io.want_text_input:
-        return None
-
-    def held(positive, negative):
-        return float(imgui.is_key_down(positive)) - float(imgui.is_key_down(negative))
-
-    key = imgui.Key
-    move = (held(key.d, key.a), held(key.e, key.q), held(key.w, key.s))
-    turning = imgui.is_mouse_down(imgui.MouseButton_.right)
-    dx, dy = (io.mouse_delta.x, io.mouse_delta.y) if turning else (0.0, 0.0)
-    return Flight(move, 4.0 if io.key_shift else 1.0, _TURN * dx, _TURN * dy)

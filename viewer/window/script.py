@@ -12,10 +12,10 @@ from imgui_bundle import imgui
 
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.files import read_bounded, replacing
-from ..state.actions import Actions, nearest, numbers
+from ..state.actions import Actions, nearest, seconds_of
 from ..state.model import Model
 from ..state.playback import EVERY_FRAME
-from ..state.saving import save_png
+from ..state.saving import require_file, save_png
 from ..state.settings import Settings
 from .app import App
 from .running import new_app, run
@@ -26,7 +26,6 @@ FILMS = (".webp", ".gif")
 PATIENCE = 120.0  # seconds
 _STILL_FRAMES = 3  # of the interface, after everything has arrived, before the next step
 _MOST_BYTES = 1 << 20  # of a script
-_LONGEST_WAIT = 3600.0  # seconds
 
 
 @dataclass(frozen=True)
@@ -47,7 +46,7 @@ def unopened() -> App:
 
 def parse(path: Path, actions: Actions) -> list[Line]:
     """Return the steps of a script: one a line, empty lines and those that begin with # left out. Raises GffeError for
-    unknown actions."""
+    unknown actions, and for arguments that are wrong in any sequence."""
     try:
         lines = read_bounded(path, _MOST_BYTES).decode("utf-8-sig").splitlines()
     except (OSError, UnicodeDecodeError) as error:
@@ -67,6 +66,10 @@ def _step(where: str, text: str, actions: Actions) -> Line:
     if id in actions and actions[id].takes:
         if not argument:
             raise GffeError(f"{where}: expected {id} {actions[id].takes}")
+        try:
+            actions[id].check(argument[0])
+        except GffeError as error:
+            raise GffeError(f"{where}: {error}") from None
         return Line(where, id, (argument[0],))
     if text not in actions:
         near = nearest(text, [action.id for action in actions])
@@ -152,10 +155,7 @@ class Director:
         if text == "done":
             self._until_done = True
             return
-        (seconds,) = numbers(text, 1)
-        if not 0 <= seconds <= _LONGEST_WAIT:
-            raise GffeError(f"expected 0 to {_LONGEST_WAIT:.0f} seconds, or done, got {text}")
-        self._waits = max(round(seconds * RATE), 1)
+        self._waits = max(round(seconds_of(text) * RATE), 1)
 
     def shoot(self, app: App, path: Path) -> None:
         """Save a picture of the window. Raises GffeError."""
@@ -192,14 +192,6 @@ class Director:
                 raise GffeError(app.actions.last_refusal or f"no action is called '{step.action}'")
         except GffeError as error:
             self.problem = f"{step.where}: {error}"
-
-
-def require_file(path: Path, what: str, endings: tuple[str, ...]) -> None:
-    """Raise GffeError if `what`, a film or a picture, cannot be written to `path`."""
-    if path.suffix.lower() not in endings:
-        raise GffeError(f"{path}: a {what}'s name must end in {' or '.join(endings)}")
-    if not path.absolute().parent.is_dir():
-        raise GffeError(f"{path}: cannot write: no such folder")
 
 
 def _write_film(path: Path, frames: list[np.ndarray]) -> None:

@@ -161,13 +161,13 @@ def test_the_viewer_shows_cuts(device, tmp_path):
     source = RecordedSource(sequence, device)
     contents, seeker = Contents(), Seeker(device, source, lambda: False)
     contents.open(source)
-    seeker.prepare(Recipe(1, 0, Setup(), ""))
+    seeker.prepare(Recipe(1, Setup(), ""))
     for k, cuts in ((3, set()), (5, {4}), (1, {4})):
         seeker.go_to(k, 0.0, provisional=False)
         assert seeker.cuts == cuts
     contents.cuts = frozenset(seeker.cuts)
     assert contents.resets == {4: "a cut was found here", 2: "reset"}
-    seeker.prepare(Recipe(1, 0, Setup(Options(cut_detection=False)), ""))
+    seeker.prepare(Recipe(1, Setup(Options(cut_detection=False)), ""))
     seeker.go_to(5, 0.0, provisional=False)
     assert seeker.cuts == set()
     source.close()

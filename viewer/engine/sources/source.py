@@ -18,22 +18,19 @@ CACHE_BYTES = 512 << 20  # of frames that a source keeps
 
 
 class FrameSource(Source, Protocol):
-    """Source whose frames are looked at. All but `fly`, `forget_flight` and `time` is called from one thread, the
-    engine's.
+    """Source whose frames are looked at. All but `time` is called from one thread, the engine's.
 
-    `target`: how the user named it; `render_size` may change with `configure`; `live`: rendered meanwhile, the camera
-    may be flown; `windowed`: rendered through a window that can be used or not; `flight`: another number whenever other
-    poses are flown, 0 for none; `held`: of the frames delivered last, so many stay as they are; `suspicions`: sentences
-    about the whole, more of them may come; `changed_on_disk`: files of its frames are others than when it was opened;
-    `nbytes`: bytes of frames that it keeps, unless the source that it is a sibling of counts them; `format`: the
-    description of `stored` frames.
+    `target`: how the user named it; `render_size` may change with `configure`; `live`: rendered meanwhile; `windowed`:
+    rendered through a window that can be used or not; `held`: of the frames delivered last, so many stay as they are;
+    `suspicions`: sentences about the whole, more of them may come; `changed_on_disk`: files of its frames are others
+    than when it was opened; `nbytes`: bytes of frames that it keeps, unless the source that it is a sibling of counts
+    them; `format`: the description of `stored` frames.
     """
 
     target: str = ""
     live: bool = False
     windowed: bool = False
     has_truth: bool = False
-    flight: int = 0
     held: int = REMEMBERED
     suspicions: Iterable[str] = ()
     changed_on_disk: bool = False
@@ -42,7 +39,7 @@ class FrameSource(Source, Protocol):
 
     def sibling(self) -> FrameSource:
         """Return a source of the same frames for another pipeline on the same thread, with its own window and
-        position. Files are shared; `fly` and `close` affect this one only."""
+        position. Files are shared; `close` affects this one only."""
         return copy.copy(self)
 
     def configure(self, window: str | None, n: int, scale: float = 0.0) -> bool:
@@ -53,11 +50,6 @@ class FrameSource(Source, Protocol):
 
     def restart(self) -> None:
         """Start anew: the next frame asked for has none before it."""
-
-    def outdated(self, k: int, alpha: float) -> bool:
-        """Return whether frames delivered since `restart` must be delivered again before `time(k, alpha)` is
-        displayed."""
-        return False
 
     def camera(self, k: int, alpha: float) -> Camera | None:
         """Return the display camera at `time(k, alpha)`; None unless it and those of the other new frames of the
@@ -74,12 +66,6 @@ class FrameSource(Source, Protocol):
     def grow(self) -> bool:
         """Take over frames that were added at the end since it was opened. Returns whether there are any."""
         return False
-
-    def fly(self, k: int, alpha: float, camera: Camera, flight: int) -> None:
-        """See `time(k, alpha)` through `camera` from now on, where the camera may be flown; `flight` is new."""
-
-    def forget_flight(self) -> None:
-        """Put the camera back where it was before it was flown."""
 
     def look_closer(self) -> None:
         """Start the search for `suspicions`, after the first slot is made."""
