@@ -106,10 +106,10 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_351,
-    "viewer": 12_866,
+    "gffe_cl": 38_352,
+    "viewer": 12_607,
     "kernels": 10_460,
-    "tests": 29_113,
+    "tests": 29_012,
     "docs/tools": 4_257,
     "docs/examples": 1_884,
     "docs/*.md": 4_465,
