@@ -24,7 +24,9 @@
 #define ONE_OBJECT 0.05f  /* relative depth within which two dynamic fragments are of one object ... */
 #define HIDES 0.95f       /* ... and times the depth of a mover: nearer surfaces are others, and may hide it ... */
 #define MOVER_HIDES 0.8f  /* ... and movers so much nearer do, which are no limbs of its own */
-#define BESIDE 3          /* part of the reach within which a mover owns holes beside it */
+#define BESIDE 3          /* part of the reach within which a mover owns holes beside it, ... */
+#define BREADTH 3         /* ... or times the way to it, if it is so broad and far behind what hides it: ... */
+#define FAR_BEHIND 0.65f  /* ... by depth over depth */
 
 #define MOVER_REACH 8     /* px, in which movers are looked for ... */
 #define MOVER_REACH_SHARE 48    /* ... or this part of the target's width */
@@ -127,8 +129,19 @@ INLINE MoverSide look_for_mover(const int dst_x, const int dst_y, const int2 d, 
     return side;
 }
 
-/* The direction in which the mover lies that the hole belongs to, which is close by; -1: none. */
-INLINE int owner(__local const MoverSide *sides, const int reach) {
+/* Whether the mover on that side of a hole is BREADTH times as broad there, and far behind what hides it. */
+INLINE bool is_broad(const int dst_x, const int dst_y, const int2 d, const MoverSide side, __constant Frame *frame,
+                     const Movers f) {
+    const int width = frame->target_width, far = (1 + BREADTH) * side.steps;
+    const int x = dst_x + far * d.x, y = dst_y + far * d.y;
+    if (!inside(x, y, width, frame->target_height) || !f.is_dynamic[y * width + x]) return false;
+    const float z_shown = f.source_depth[(int)side.px_y * frame->source_width + (int)side.px_x];
+    return z_shown > 0.0f && z_shown < FAR_BEHIND * side.z;
+}
+
+/* The direction in which the mover lies that the hole belongs to, which is close by or broad; -1: none. */
+INLINE int owner(const int dst_x, const int dst_y, __local const MoverSide *sides, __constant Frame *frame,
+                 const Movers f) {
     int nearest = -1;
     float least = INFINITY;
     for (int k = 0; k < DIRECTIONS; ++k) {
@@ -137,13 +150,14 @@ INLINE int owner(__local const MoverSide *sides, const int reach) {
         least = distance;
         nearest = k;
     }
-    return least * (float)BESIDE <= (float)reach ? nearest : -1;
+    if (nearest < 0 || least * (float)BESIDE <= (float)reach_of(frame)) return nearest;
+    return is_broad(dst_x, dst_y, direction(nearest), sides[nearest], frame, f) ? nearest : -1;
 }
 
 /* Fills a hole with the mean of the mover that it belongs to around it, weighted by the inverse of distance. */
 INLINE void fill_hidden_part(const int dst_x, const int dst_y, __local const MoverSide *sides, __constant Frame *frame,
                              const Movers f) {
-    const int of = owner(sides, reach_of(frame)), dst = dst_y * frame->target_width + dst_x;
+    const int of = owner(dst_x, dst_y, sides, frame, f), dst = dst_y * frame->target_width + dst_x;
     if (of < 0) return;
     const float z_owner = sides[of].z;
     float3 sum = (float3)(0.0f);

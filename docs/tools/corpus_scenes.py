@@ -84,6 +84,20 @@ def first_person(seed: int, rng: np.random.Generator) -> Scene:
     return scene("first_person", seed, groups, *sunlight(rng), (eye, look))
 
 
+def posts(seed: int, rng: np.random.Generator) -> Scene:
+    """Return a yard in first person, past posts; a car behind these enters in a curve, and drives by."""
+    groups = yard(rng, seed)
+    iron = Material(vary(rng, (0.16, 0.17, 0.18)), specular=0.2, roughness=0.3)
+    for x in np.arange(-4.5, 4.6, rng.uniform(1.4, 1.9)):
+        groups.append(Group([Cylinder((x, 0, 0), (x, 4, 0), rng.uniform(0.05, 0.1), iron)], name="post"))
+    side = pick(rng, -1, 1)
+    curve = [(side * x, z) for x, z in ((-14, -5), (-6, -3.6), (0, -2.4), (6, -2.2), (14, -4), (20, -12), (0, -40))]
+    groups += car(Path(curve, rng.uniform(7, 10), rng.uniform(0.08, 0.12)), rng)
+    eye = wave((0, 1.6, 3.2), (1.2, 0.03, 0.4), (rng.uniform(1.6, 2.4), 0.42, 2.1), rng.random(3))
+    look = wave((0, 1.2, -3.0), (1.2, 0.1, 0.0), (rng.uniform(1.6, 2.4), 0.8, 1.0), rng.random(3))
+    return scene("posts", seed, groups, *sunlight(rng), (eye, look))
+
+
 def platform(seed: int, rng: np.random.Generator) -> Scene:
     """Return a platform game from the side: layers at many depths pass at 7 m/s, a runner hops, coins spin, platforms
     travel."""
@@ -234,7 +248,7 @@ def _pan(rng: np.random.Generator, strafes: bool, height: float):
     return eye, wave((0, 1.2, -3.0), (across, 0.06, 0.0), (rng.uniform(2.0, 3.0), 1.7, 1.0), rng.random(3))
 
 
-GENERATORS = {f.__name__: f for f in (racing, first_person, platform, strategy, lattice, thicket)}
+GENERATORS = {f.__name__: f for f in (racing, first_person, posts, platform, strategy, lattice, thicket)}
 
 
 # ---- effects ------------------------------------------------------------------------------------------------------

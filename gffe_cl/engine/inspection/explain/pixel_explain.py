@@ -302,7 +302,10 @@ def _why_no_mover(pipeline: Pipeline, shot: Shot, pixel: tuple[int, int]) -> Cla
     away, (x, y), one = min(found, key=lambda mover: mover[0])
     why = _why_refused(shot, one)
     if one[_MOVERS["REFUSED_BY"]] == _MOVERS["NOT_REFUSED"]:
-        why += f" But it is {away:.1f} px away; movers own holes within {stage.reach / _MOVERS['BESIDE']:.1f} px."
+        why += (
+            f" But it is {away:.1f} px away; movers own holes within {stage.reach / _MOVERS['BESIDE']:.1f} px, farther"
+            " ones if they are broad and far behind what hides them."
+        )
     return Claim(
         f"Hidden parts of movers left it: if it moved as ({x}, {y}) does, the nearest mover, {why}",
         Link("that mover", names.DYNAMIC, pixel=(x, y)),
