@@ -45,6 +45,17 @@ def test_mover_behind_bars_is_whole(device, target):
     assert np.isclose(shown, 4, rtol=0.01).mean() > 0.9  # a bar
 
 
+@pytest.mark.parametrize("z, whole", [(3, True), (4.5, False)])
+def test_broad_mover_that_leaves_a_post_is_whole(device, z, whole):
+    """As far behind the post as it is; nearer to that it owns only what is close by, as a narrow one would."""
+    mover = Rect((-2.6, 0, 6), (2.4, 0.6), velocity=(14, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
+    post = Rect((0, 0, z), (0.06 * z, 3), frequency=0.2, tint=(0.1, 0.1, 0.1))
+    out, truth, _ = last_frame(device, [WALL, mover, post], count=5)
+    holes = (out.numpy("disoccluded") == 1) & (truth.depth > 5) & (truth.depth < 7)
+    missing = holes & (out.numpy("filled_by") != BY_HIDDEN_PART)
+    assert holes.sum() > 50 and (missing.sum() < 0.1 * holes.sum()) == whole, (missing.sum(), holes.sum())
+
+
 def test_mover_has_no_part_where_the_frame_before_showed_the_wall(device):
     """A bar hides the wall beside the mover's edge, which the frame before had shown free of the bars."""
     mover = Rect((-1.2, 0, 6), (1.0, 0.6), velocity=(6, 0, 0), frequency=0.1, tint=(5, 0.1, 0.1))
