@@ -27,12 +27,13 @@ TUNED = "bars:0", "railings:0", "balls:0", "rotors:0", "first_person:0"
 
 
 def seen_in(frame, image, color, depth):
-    """Return (H, W, 3) float32: an image's surfaces as a frame shows them; and (4, H, W) bool: which taps do. `frame`
-    is what `image.motion` and `image.other_position` refer to."""
+    """Return an image's surfaces as a frame shows them, (H, W, 3) float32; which taps of a sample do, (4, H, W) bool;
+    and where it is on screen, (H, W). `frame` is what `image.motion` and `image.other_position` refer to."""
     place = np.mgrid[: SIZE[1], : SIZE[0]][::-1].transpose(1, 2, 0) + np.float32(0.5) + image.motion
     z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
     inside = (place >= 0).all(-1) & (place < SIZE).all(-1)
-    return sample(color[frame].astype(np.float32), place)[0], inside & same_surface(taps(depth[frame], place), z), inside
+    shows = inside & same_surface(taps(depth[frame], place), z)
+    return sample(color[frame].astype(np.float32), place)[0], shows, inside
 
 
 def measure(line, device):
@@ -70,10 +71,10 @@ def measure(line, device):
             for row, part in zip(sums, (hidden & moving, hidden & ~moving), strict=True):
                 row += part.sum(), now[part].sum(), (found & part).sum(), gain[part].sum()
     for kind, (area, wrong, found, gain) in zip(("on movers", "others"), sums, strict=True):
-        share = area / (len(s["after"]) * SIZE[0] * SIZE[1])
+        share, seen = area / (len(s["after"]) * SIZE[0] * SIZE[1]), found / max(area, 1)
+        gained = f"gain {-10 * np.log10(1 - gain / total):+.3f} dB"
         print(
-            f"{line.name:16}{kind:10} area {share:7.2%}, error {wrong / total:6.1%}, seen before {found / max(area, 1):6.1%},"
-            f" gain {-10 * np.log10(1 - gain / total):+.3f} dB",
+            f"{line.name:16}{kind:10} area {share:7.2%}, error {wrong / total:6.1%}, seen {seen:6.1%}, {gained}",
             flush=True,
         )
 
