@@ -110,7 +110,7 @@ LEDGER = {
     "viewer": 12_607,
     "kernels": 10_474,
     "tests": 29_023,
-    "docs/tools": 4_358,
+    "docs/tools": 4_359,
     "docs/examples": 1_884,
     "docs/*.md": 4_468,
 }
