@@ -26,7 +26,8 @@ from gffe_cl.lab.metrics import REGIONS as _TABLE
 from .jobs import Jobs
 from .messages import Frame, Key, Recipe
 
-NEEDED = frozenset({names.FINAL, names.TRUTH, names.DISOCCLUDED, names.RESIDUAL})
+_INPUT = {"mean color": names.RENDERED_COLOR, "mean depth": names.RENDERED_DEPTH}  # of the rendered frame
+NEEDED = frozenset({names.FINAL, names.TRUTH, names.DISOCCLUDED, names.RESIDUAL, *_INPUT.values()})
 NEEDED_BY_REGION = NEEDED | {names.GAE, names.DEPTH, names.DYNAMIC}
 
 _RECIPES = 8  # whose figures are remembered
@@ -64,6 +65,8 @@ QUANTITIES = {
     "flicker": Quantity("flicker", "%", 1, 3),
     "disoccluded": Quantity("disoccluded", "%", 1),
     "residual": Quantity("depth against motion", "px", 1, 3),
+    "mean color": Quantity("mean color of the input", "", 0, 4),
+    "mean depth": Quantity("mean depth of the input", "", 0, 4),
     "kernels": Quantity("kernel time", "ms", 1),
 }
 
@@ -97,7 +100,11 @@ class Measurer:
             values["disoccluded"] = 100 * float(np.count_nonzero(holes)) / holes.size
         residual = frame.images.get(names.RESIDUAL)
         if residual is not None and np.isfinite(residual).any():
-            values["residual"] = float(np.nanmean(np.linalg.norm(residual, axis=-1)))
+            values["residual"] = float(np.nanmedian(np.linalg.norm(residual, axis=-1)))  # movers do not rule it
+        for name, layer in _INPUT.items():
+            image = frame.images.get(layer)
+            if image is not None and (finite := np.isfinite(image := image[..., :3])).any():
+                values[name] = float(np.mean(image, dtype=np.float64, where=finite))
         if frame.images.get(names.TRUTH) is None:
             self._before = None
             return Figures(values, surveyed=True)

@@ -89,6 +89,7 @@ TONE_MAPS = ("sRGB", "Reinhard", "ACES", "linear")
 
 _SAMPLES = 65536
 _FEW = 8  # different values: a code, such as the input mask, whose rare values are as good as the others
+_NO_MOTION = 0.01  # pixels: a range that shows nothing
 
 _NOT_LAID = ("tiles", "cut_samples", "levels")  # grids that are not laid over an image
 
@@ -264,8 +265,8 @@ def fitted(spec: LayerSpec, image, display: Display, frame: FrameInfo | None = N
     if view == "world":
         return replace(_with_range(display, values), low=0.0)
     if view in ("motion", "place"):
-        scale = float(np.quantile(values, 0.99)) if values.size else display.motion_scale
-        return replace(display, motion_scale=max(scale, 0.01))
+        scale = float(np.quantile(values, 0.99)) if values.size else 0.0
+        return replace(display, motion_scale=scale) if scale > _NO_MOTION else display
     codes = np.unique(values) if view == "scalar" else np.empty(0)
     if 0 < len(codes) <= _FEW:
         low, high = min(float(codes[0]), 0.0), max(float(codes[-1]), 0.0)

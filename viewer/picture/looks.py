@@ -36,8 +36,10 @@ class Looks:
             self._displays[name] = Display.from_dict(self._saved[name])
         elif spec is None or self._contents.image(name) is None:
             return Display() if spec is None else default_display(spec)
+        elif (made := self._first(spec)) == default_display(spec) and spec.view == "motion":
+            return made  # nothing moves here: a later picture gives the range
         else:
-            self._displays[name] = self._first(spec)
+            self._displays[name] = made
         return self._displays[name]
 
     def tiles(self) -> list[tuple[str, Display]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from bisect import bisect_right
 from collections.abc import Callable
 from concurrent.futures import Future
 from dataclasses import replace
@@ -22,7 +23,7 @@ from ..engine.sources.opening import ScenePlan, make_source
 from ..engine.sources.source import FrameSource
 from ..engine.store import Playhead, Store, Want
 from ..picture.current_frame import Contents
-from .playback import Playback
+from .playback import MOST_GENERATED, Playback
 
 if TYPE_CHECKING:
     from gffe_cl.captures.doctor import Finding
@@ -75,7 +76,8 @@ def _examined(sequence: Sequence) -> Any:
     return examine(sequence, sequence.exposure)
 
 
-INVALID, REPEATED, UNEVEN, START, MISPLACED = "invalid", "repeated", "uneven time", "reset or cut", "doctor"
+INVALID, REPEATED, UNEVEN, START = "invalid", "repeated", "uneven time", "reset or cut"
+MISPLACED, ALONE = "doctor", "ground truth without a frame"
 _REST = 3  # copies of a frame in a row: of more the camera rests
 _MOST_UNEVEN = 1 / 3  # share of frames, beyond which uneven times are usual
 
@@ -133,6 +135,8 @@ class Scan:
             found.setdefault(k, {})[REPEATED] = "repeats the frame before, with its camera"
         for k, text in _uneven(self._source.sequence.rendered).items():
             found.setdefault(k, {})[UNEVEN] = text
+        for k, text in ({} if self.busy else _alone(self._source)).items():
+            found.setdefault(k, {})[ALONE] = text
         return found
 
     def _run(self) -> None:
@@ -169,6 +173,16 @@ def _uneven(entries: list[FrameEntry]) -> dict[int, str]:
         k: f"{1e3 * step:.1f} ms after the frame before, usually {1e3 * usual:.1f} ms" for k, step in steps.items()
     }
     return texts if len(texts) <= _MOST_UNEVEN * len(entries) else {}
+
+
+def _alone(source: Any) -> dict[int, str]:
+    """Return rendered frames after which ground truth is of a time that no generated frame has, in words."""
+    sequence, times = source.sequence, [entry.time for entry in source.sequence.rendered]
+    alphas = {j / (n + 1) for n in range(1, MOST_GENERATED + 1) for j in range(n + 1)}
+    slots = (source.time(k, alpha) for k in range(len(times)) for alpha in alphas)
+    shown = {entry.file for time in slots if (entry := sequence.at("ground_truth", time)) is not None}
+    alone = (entry for entry in sequence.ground_truth if entry.file not in shown)
+    return {max(bisect_right(times, one.time) - 1, 0): f"{one.file}, {one.time:.4f} s" for one in alone}
 
 
 class Document:

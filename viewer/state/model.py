@@ -199,7 +199,9 @@ class Model:
         slots, contents = range(self.playback.first, self.playback.last + 1), self.contents
         shown, exposure = (self.view.a, self.pointing.picked, slots), self.source.exposure
         info = exposure, self.engine.recipe, contents.frame_info
-        here = Here(self.slot, a, b, tuple(contents.layers), *shown, *info)
+        other = self.comparison.slot_of_b(self.slot, self.n, self.playback.count) if self.comparison.neighbor else None
+        sides = (self.slot, a, b) if other is None else (other, a, a)
+        here = Here(self.slot, *sides, tuple(contents.layers), *shown, *info)
         wants += self.studies.update(here, idle and result is not None)
         if awaited is not None and result is not None:
             others = set() if awaited.b is None else {awaited.b.key.recipe}

@@ -28,15 +28,17 @@ function floats(name) {
     held.packed = new Promise(done => { held.done = done; });
     document.head.append(made('script', { src: file('js') }));
   }
-  return held.floats[name] ??= held.packed.then(values => unpacked(values[name]));
+  return held.floats[name] ??= held.packed.then(values => unpacked(values[values[name][0] === '=' ? values[name].slice(1) : name], frame().pictures[name]));
 }
 
-async function unpacked(text) {  // base64, zlib, all first bytes of the floats before all second ones
+async function unpacked(text, channels) {  // base64, zlib, all first bytes before all second ones, of differences of the floats' bits
   const bytes = Uint8Array.from(atob(text), letter => letter.charCodeAt(0));
   const stream = new Blob([bytes]).stream().pipeThrough(new DecompressionStream('deflate'));
   const planes = new Uint8Array(await new Response(stream).arrayBuffer()), count = planes.length / 4;
   const whole = new Uint8Array(planes.length);
   for (let i = 0; i < planes.length; i++) whole[4 * (i % count) + Math.floor(i / count)] = planes[i];
+  const bits = new Uint32Array(whole.buffer);
+  for (let i = channels; i < count; i++) bits[i] += bits[i - channels];
   return new Float32Array(whole.buffer);
 }
 

@@ -164,7 +164,8 @@ class Exporter:
     def _shown(self, name: str, other: str | None) -> dict[str, Texels]:
         """Return a layer of this frame as "a", another one of its kind as "b", and the error between them as "e": as
         many as there are."""
-        a, b = (texels(one, self._looks.of(one) if one else None, self._contents) for one in (name, other))
+        look = self._looks.of(name)  # of both
+        a, b = (texels(one, look, self._contents) for one in (name, other))
         found = {} if a is None else {"a": a}
         if a is None or b is None or other is None or other == name or not _are_alike(a, b):
             return found
@@ -191,7 +192,7 @@ class Exporter:
 
     def _write_frame(self, folder: Path, slot: int, shown: dict[str, dict[str, Texels]]) -> None:
         """Write pictures and values of a frame, and note what the page has to know of them."""
-        channels, values = {}, {}
+        channels, values, first = {}, {}, {}  # values that are those of another picture have its name
         for layer, sides in shown.items():
             of_all = self._page["layers"].setdefault(layer, {})
             for side, one in sides.items():
@@ -201,7 +202,9 @@ class Exporter:
                 count = max(len(of_all[side]["channels"]), 1)
                 numbers = np.where(covers[:, None], one.values(rows, columns)[:, :count], np.nan)
                 channels[f"{layer}.{side}"] = count
-                values[f"{layer}.{side}"] = _packed(numbers)
+                name, packed = f"{layer}.{side}", _packed(numbers)
+                values[name] = f"={first[packed]}" if packed in first else packed
+                first.setdefault(packed, name)
             if "e" in sides:
                 label = f"mean error: {of_all['a']['label']}, A and B"
                 self._note("a", slot, {label: float(np.nanmean(sides["e"].image))})
@@ -241,8 +244,12 @@ def _described(shown: Texels) -> dict[str, Any]:
 
 
 def _packed(numbers: np.ndarray) -> str:
-    """Return numbers as little-endian floats: all first bytes, then all second ones …, by zlib, as base64."""
-    planes = np.frombuffer(numbers.astype("<f4").tobytes(), np.uint8).reshape(-1, 4).T
+    """Return numbers as little-endian floats, of which the page shows four digits: their bits less those of the
+    pixel before, all first bytes, then all second ones …, by zlib, as base64."""
+    bits = np.frombuffer(numbers.astype("<f4").tobytes(), "<u4")
+    rounded = np.where(np.isfinite(numbers.ravel()), bits + 512 & ~np.uint32(1023), bits)
+    steps = np.diff(rounded.astype("<u4").reshape(numbers.shape), axis=0, prepend=np.uint32(0))
+    planes = np.ascontiguousarray(steps).view(np.uint8).reshape(-1, 4).T
     return base64.b64encode(zlib.compress(planes.tobytes(), 6)).decode("ascii")
 
 

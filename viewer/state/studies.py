@@ -39,7 +39,7 @@ class Here:
 
     Attributes
     ----------
-    slot : int
+    slot, slot_of_b : int
     a, b : Recipe, Recipe or None
     layers : tuple of LayerSpec
         All of A.
@@ -55,6 +55,7 @@ class Here:
     """
 
     slot: int
+    slot_of_b: int
     a: Recipe
     b: Recipe | None
     layers: tuple[LayerSpec, ...]
@@ -232,11 +233,8 @@ class Differing(Study):
         groups: dict[Hashable, frozenset[str]] = {}
         for spec in _by_stage(here.layers):
             groups[_stage_of(spec)] = groups.get(_stage_of(spec), frozenset()) | {spec.name}
-        sides = here.a, here.b
-        return {
-            stage: tuple(Want(Key(recipe, here.slot), layers, keep=False) for recipe in sides)
-            for stage, layers in groups.items()
-        }
+        sides = Key(here.a, here.slot), Key(here.b, here.slot_of_b)
+        return {stage: tuple(Want(key, layers, keep=False) for key in sides) for stage, layers in groups.items()}
 
     def find(self, here: Here, name: Any, *frames: Frame) -> list[Difference]:
         a, b = frames

@@ -185,7 +185,7 @@ def _story(model: Model, story: Story) -> None:
     if len(story.way) > 1:
         imgui.bullet()
         imgui.same_line()
-        imgui.text_wrapped(f"Its way through the last {len(story.way)} rendered frames:")
+        imgui.text_wrapped("Its way through the rendered frames before:")
         with widgets.in_rows() as row:
             for point in story.way[1:]:
                 row(imgui.calc_text_size(f"{point.k}").x)

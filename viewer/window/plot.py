@@ -132,9 +132,9 @@ def _controls(app: App) -> None:
             lambda _: app.actions.run("survey"),
             "Every generated frame, in the background",
         )
-        row(em(9))
+        row(em(12))
         quantities = {name: quantity.label for name, quantity in QUANTITIES.items()}
-        widgets.choice("quantity", survey.quantity, quantities, partial(setattr, survey, "quantity"), width=9)
+        widgets.choice("quantity", survey.quantity, quantities, partial(setattr, survey, "quantity"), width=12)
         for name, icon in (
             ("worst", icons.ICON_FA_ARROW_DOWN_WIDE_SHORT),
             ("next_worst", icons.ICON_FA_ARROW_RIGHT),

@@ -81,7 +81,8 @@ def show_difference(model: Model, one: Difference) -> None:
     model.show_layer(one.spec.name)
     if one.planes:
         model.looks.choose_plane(one.spec.name, one.planes[0])
-    model.comparison.with_settings()
+    if not model.comparison.neighbor:
+        model.comparison.with_settings()
     model.comparison.set("difference")
 
 
@@ -217,7 +218,7 @@ def draw_doctor(app: App) -> None:
         widgets.hint(f"{len(doctor.findings)} finding{'s' * (len(doctor.findings) > 1)}")
     _findings(model, doctor)
     if model.document.marks:
-        imgui.separator_text("Marked frames")
+        imgui.separator_text("Frames with findings")
         with widgets.in_rows() as row:
             for frame, reason in model.document.marks.items():
                 row(imgui.calc_text_size(f"{frame}").x)

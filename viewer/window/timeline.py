@@ -8,7 +8,7 @@ from itertools import pairwise
 from imgui_bundle import ImVec2, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
-from ..state.document import INVALID, MISPLACED, REPEATED, START, UNEVEN
+from ..state.document import ALONE, INVALID, MISPLACED, REPEATED, START, UNEVEN
 from ..state.model import Model
 from . import widgets
 from .app import App
@@ -19,7 +19,12 @@ DOUBT = (0.98, 0.85, 0.25, 1.0)
 RESET = (0.93, 0.30, 0.30, 1.0)
 CACHED = (0.35, 0.80, 0.45, 1.0)
 FLAGS = {START: RESET, MISPLACED: DOUBT}  # over the height of the slots
-STRIP = {INVALID: (1.0, 0.0, 1.0, 1.0), REPEATED: (0.35, 0.85, 1.0, 1.0), UNEVEN: (0.95, 0.95, 0.95, 1.0)}  # above them
+STRIP = {
+    INVALID: (1.0, 0.0, 1.0, 1.0),
+    REPEATED: (0.35, 0.85, 1.0, 1.0),
+    UNEVEN: (0.65, 0.45, 1.0, 1.0),
+    ALONE: (0.3, 0.7, 0.3, 1.0),
+}  # above them
 _CACHED_HEIGHT = 3.0  # pixels at the usual size of letters
 _NARROW = 2.5  # screen pixels
 _LEAST_STATUS = 4.5  # em: with less room it has a row of its own
