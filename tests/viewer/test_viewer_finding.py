@@ -259,3 +259,16 @@ def test_the_way_of_a_fragment():
     edge.depth[6, 10] = 4.1
     way = way_of(None, [passed(5, (1, 0)), edge, passed(3, (0, 0))], (8, 6))
     assert way[1].px == (20, 12), "the right surface is beside the place that its motion tells"
+
+
+def test_figures_of_the_input():
+    """Depth against motion is a median, which movers do not rule; means leave out what is no number."""
+    residual = np.full((HEIGHT, WIDTH, 2), 0.1, np.float32)
+    residual[: HEIGHT // 3] = 50.0
+    color, depth = np.full((HEIGHT, WIDTH, 4), 0.25, np.float16), np.zeros((HEIGHT, WIDTH), np.float32)
+    color[0, 0, 1], depth[:], depth[2], color[..., 3] = np.nan, np.arange(WIDTH), np.inf, 1.0
+    images = {names.RESIDUAL: residual, names.RENDERED_COLOR: color, names.RENDERED_DEPTH: depth}
+    key, moment = Key(Recipe(0, Setup(), ""), 3), SimpleNamespace(alpha=0.5)
+    found = Measurer().measure(Frame(key, frozenset(images), moment, images, {}, {}, 0.0, 0.0), 1.0).values
+    expected = {"residual": 0.1 * 2**0.5, "mean color": 0.25, "mean depth": (WIDTH - 1) / 2}
+    assert {name: found[name] for name in expected} == pytest.approx(expected)

@@ -2,12 +2,13 @@
 
 import json
 from dataclasses import fields, replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from gffe_cl import Camera, Options, Pipeline
-from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, layer_of, layers_of
+from gffe_cl.engine.inspection.layers import FRAME_LAYERS, VIEWS, LayerSpec, layer_of, layers_of
 from gffe_cl.engine.pipeline.outputs import FILLINGS, STAGES
 from gffe_cl.engine.stages.background import Background, _level_buffers
 from gffe_cl.engine.stages.buffers import EXTRAPOLATED, FILLED_BY, Sizes
@@ -315,3 +316,16 @@ def test_depth_against_motion():
     np.testing.assert_allclose(found, moving, atol=1e-5)
     far = residual_motion(px, 1.1 * depth, static.astype(np.float32), source, before)
     assert np.abs(far[:4]).max() < 1e-4 and np.linalg.norm(far[6:], axis=-1).min() > 0.05
+
+
+def test_a_picture_without_motion_gives_no_range():
+    """The first frame has none: all later ones would be as bright as can be."""
+    spec, moving = LayerSpec("m", "m", "", "motion"), np.full((4, 6, 2), 3.0, np.float32)
+    images = {"m": np.zeros_like(moving)}
+    contents = SimpleNamespace(spec=lambda name: spec, image=images.get, frame_info=lambda: None)
+    looks = Looks(contents, {})
+    assert looks.of("m") == default_display(spec)
+    images["m"] = moving
+    assert looks.of("m").motion_scale == pytest.approx(3 * 2**0.5)
+    images["m"] = 2 * moving
+    assert looks.of("m").motion_scale == pytest.approx(3 * 2**0.5), "one range for all"

@@ -18,14 +18,14 @@ from scn_models import constant_model
 from viewer_session import Session, wait_for
 
 from gffe_cl import OPTIONS, Options
-from gffe_cl.captures.sequence import SequenceWriter, named_channels
+from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.lab.metrics import to_display
 from gffe_cl.viewer.engine.slot_maker import Seeker
 from gffe_cl.viewer.state.captions import value_text
-from gffe_cl.viewer.state.document import INVALID, REPEATED, UNEVEN, Doctor
+from gffe_cl.viewer.state.document import ALONE, INVALID, REPEATED, UNEVEN, Doctor
 from gffe_cl.viewer.state.parameters import ALL, ALWAYS, Parameters, by_hand, parsed
 from gffe_cl.viewer.state.playback import Playback
 from gffe_cl.viewer.state.saving import LayersWork
@@ -525,13 +525,17 @@ def test_faults_of_all_frames_are_marked(tmp_path):
             motion[1, 2:5] = np.nan if k == 2 else motion[1, 2:5]
             entry = replace(tiny_sequence.rendered(seen), file=f"frame_{k}.exr", time=k / 30 + late, reset=k == 0)
             writer.add(entry, named_channels(color, depth, motion if k else None))
+        for file, time in (("known.exr", 8.25 / 30 + 0.01), ("alone.exr", 8.45 / 30 + 0.01)):
+            truth = FrameEntry(file, time, "ground_truth", display_camera=tiny_sequence.camera(8))
+            writer.add(truth, named_channels(tiny_sequence.pixels(8)[0]))
     document = Session(folder).model.document
     scan = document.scan
     scan.update(False)
     assert scan._job is None or wait_for(scan._job.done)
     wait_for(lambda: scan.update(True) or not scan.busy)
     found = {k: list(kinds) for k, kinds in scan.marks.items()}
-    assert found == {2: [INVALID], 4: [UNEVEN]} | {k: [REPEATED] for k in (5, 7, 11, 12, 13)}
+    assert found == {2: [INVALID], 4: [UNEVEN], 8: [ALONE]} | {k: [REPEATED] for k in (5, 7, 11, 12, 13)}
+    assert "alone.exr" in scan.marks[8][ALONE], "which no generated frame is compared with"
     assert "3 × NaN" in scan.marks[2][INVALID] and "43.3 ms" in scan.marks[4][UNEVEN]
     assert "color of the frame before" in scan.marks[5][REPEATED] and "depth of" in scan.marks[7][REPEATED]
     assert list(document.faults) == sorted(found)

@@ -21,6 +21,7 @@ from gffe_cl.viewer.engine.figures import Figures
 from gffe_cl.viewer.engine.messages import Frame, Key, Recipe, Setup
 from gffe_cl.viewer.picture.current_frame import VECTORS, followed
 from gffe_cl.viewer.picture.displays import FrameInfo
+from gffe_cl.viewer.state.comparing import NEIGHBORS
 from gffe_cl.viewer.state.presets import command_line
 from gffe_cl.viewer.state.studies import difference, modules_of
 from gffe_cl.viewer.window.studies import show_difference
@@ -171,6 +172,18 @@ def test_the_first_layer_that_differs_is_of_the_stage_that_was_changed(session):
     assert final.largest == np.abs(np.subtract(*images, dtype=np.float64)).max()
 
 
+def test_differences_from_a_frame_before(session):
+    model = session.model
+    model.playback.seek(4)
+    model.comparison.with_neighbor(NEIGHBORS[0])
+    session.settle()
+    color = next(one for one in studied(session, model.studies.differing).all if one.spec.name == "rendered.color")
+    model.show_layer("rendered.color")
+    session.settle()
+    differs = (model.contents.result.images["rendered.color"] != model.contents.second.images["rendered.color"]).any(-1)
+    assert model.contents.second.slot == 2 and color.pixels == differs.sum() > 0
+
+
 def test_an_ablation_tells_what_a_module_gains(session):
     model = session.model
     model.playback.seek(3)
@@ -288,7 +301,7 @@ def test_a_layer_differs_in_a_plane_that_is_named():
     model = SimpleNamespace(
         looks=SimpleNamespace(choose_plane=lambda *given: looks.append(given)),
         show_layer=shown.append,
-        comparison=SimpleNamespace(with_settings=lambda: None, set=shown.append),
+        comparison=SimpleNamespace(neighbor="", with_settings=lambda: None, set=shown.append),
     )
     show_difference(model, found)
     assert shown == [spec.name, "difference"] and looks == [(spec.name, 2)]

@@ -103,8 +103,10 @@ class Measurer:
             values["residual"] = float(np.nanmedian(np.linalg.norm(residual, axis=-1)))  # movers do not rule it
         for name, layer in _INPUT.items():
             image = frame.images.get(layer)
-            if image is not None and (finite := np.isfinite(image := image[..., :3])).any():
-                values[name] = float(np.mean(image, dtype=np.float64, where=finite))
+            if image is not None:
+                image = image[..., :3] if image.ndim > 2 else image
+                finite = image[np.isfinite(image)]
+                values |= {name: float(finite.mean(dtype=np.float64))} if finite.size else {}
         if frame.images.get(names.TRUTH) is None:
             self._before = None
             return Figures(values, surveyed=True)
