@@ -1,75 +1,20 @@
-/* Hierarchical background collection and projection (paper: 'Hierarchical Background Collection'). Level l has
-   ceil(W / 2^l) x ceil(H / 2^l) texels over the rendered image. A texel holds one fragment: its color, its view
-   depth and its pixel position (not the texel's center) in the camera of the frame for which the level was
-   collected. What is SHOWN is not stored: it is that frame's own pixel. Level 0 remembers what movers hide, the next
-   one what static surfaces hide. Stored positions are two 16-bit offsets from the texel's
-   center, x in the lower half, in PX_UNITS of the texel's side: that holds what TOUCHES it. Stored colors are RGB9E5.
-   Fragments of B'_l that only meet the surface that they are of are skipped LANES at once. */
+/* Collection of the hierarchical background (paper: 'Hierarchical Background Collection'), whose levels are those of
+   levels.h. Fragments of the frame before, B'_l, are offered to the levels where they lie now; the nearest settle
+   there. Fragments of B'_l that only meet the surface that they are of are skipped LANES at once. */
 
-#include "frame.h"
-#include "simd.h"
+#include "levels.h"
 #include "nearest.h"
+#include "acceleration.h"
 #include "blocks.h"
 #include "lists.h"
-#include "rgb9e5.h"
-#include "color_code.h"
-#include "far_side.h"
 
-/* What set the thresholds: docs/deviations.md, "Fragments must be deeper by a margin (case 2)", "Background texels
-   cover what they map to". */
-#define SAME_LEVEL 0.02f /* relative depth within which two fragments may be of the same surface */
 #define FROM_MEMORY 0x80000000u  /* of a texel's index: it refers to a REMEMBERED fragment, not to a SHOWN one */
-
-#define PX_UNITS 32768.0f       /* of a stored position, per side of a texel */
 
 /* A pixel position from the center of a texel, packed. */
 INLINE int pack_px(const float2 offset, const int level) {
     const float2 units = clamp(rint(offset * (PX_UNITS / (float)(1 << level))), -PX_UNITS, PX_UNITS - 1.0f);
     return ((int)units.x & 0xFFFF) | ((int)units.y << 16);
 }
-
-/* The levels lie one after another: `starts` are the first texels of levels 1 to 3, and the end. */
-INLINE int level_of(const int texel, const int4 starts) {
-    return (texel >= starts.x) + (texel >= starts.y) + (texel >= starts.z);
-}
-
-INLINE int start_of(const int level, const int4 starts) {
-    return level == 0 ? 0 : level == 1 ? starts.x : level == 2 ? starts.y : level == 3 ? starts.z : starts.w;
-}
-
-INLINE int size_of(const int level, __constant Frame *frame) {
-    return level_side(frame->source_width, level) * level_side(frame->source_height, level);
-}
-
-/* Texels of a level, or of all, to read, and the frame whose pixels are those that are SHOWN. */
-typedef struct {
-    __global const uint *color;
-    __global const half *frame_color;
-    __global const float *depth, *frame_depth;
-    __global const int *px;
-    __global const uchar *state;
-    int level, width;  /* of that level, or of the one that is read now */
-} Texels;
-
-/* The depth of the SHOWN fragment of a texel, or of the REMEMBERED one. */
-INLINE float depth_of(const Texels t, const int texel, const bool shown) {
-    return shown ? t.frame_depth[texel] : t.depth[texel];
-}
-
-/* `texel` is at (x, y) of its level. */
-INLINE float2 px_of(const Texels t, const int texel, const int x, const int y, const bool shown) {
-    const float2 center = pixel_center(x, y) * (float)(1 << t.level);
-    if (shown) return center;
-    const int packed = t.px[texel];
-    return center + (float2)((float)((packed << 16) >> 16), (float)(packed >> 16)) * ((float)(1 << t.level) / PX_UNITS);
-}
-
-INLINE float3 code_of(const Texels t, const int texel, const bool shown, const float code_offset) {
-    const float3 c = shown ? load_color(t.frame_color, texel) : unpack_color(t.color[texel]);
-    return encode_color(c, code_offset);
-}
-
-/* ---- collection --------------------------------------------------------------------------------------------- */
 
 /* The amount by which the depth of the surface at pixel i changes within a pixel. */
 INLINE float slope_at(const int src, const int source_width, __global const float *depth, __global const uchar *links) {
@@ -304,13 +249,24 @@ INLINE void settle(const int texel, const uint winner, Texels old, __constant Fr
 }
 
 /* Completes all levels: their texels that fragments were offered to; those of level 0 are EMPTY ones. After a reset
-   nothing is collected: all are EMPTY. */
-SCAN_FLAT __kernel void settle_levels(__constant Frame *restrict frame, __global const Key *keys,
-                                      __global const uint *winners, __global const half *frame_color,
-                                      __global const float *frame_depth, __global const uint *old_color,
-                                      __global const float *old_depth, __global const int *old_px,
-                                      __global uint *levels_color, __global float *levels_depth,
-                                      __global int *levels_px, __global uchar *levels_state) {
+   nothing is collected: all are EMPTY. Rows below track movers' acceleration. */
+SCAN_FLAT __kernel void
+settle_levels(__constant Frame *restrict frame, __global const Key *keys, __global const uint *winners,
+              __global const half *frame_color, __global const float *frame_depth, __global const uint *old_color,
+              __global const float *old_depth, __global const int *old_px, __global uint *levels_color,
+              __global float *levels_depth, __global int *levels_px, __global uchar *levels_state,
+              __global const float *depth, __global const float2 *motion, __global const uchar *dynamic_mask,
+              __global const float *met_depth, __global const float4 *velocity_prev,
+              __global const uint2 *acceleration_prev, __global const uint2 *bend_prev,
+              __global const uint2 *view_velocity_prev, __global float4 *velocity, __global uint2 *acceleration,
+              __global uint2 *bend, __global uint2 *view_velocity) {
+    if (get_global_id(1)) {
+        const Tracked fragments = {depth, motion, dynamic_mask, met_depth};
+        const Grid before = {velocity_prev, acceleration_prev, bend_prev, view_velocity_prev};
+        const Cells to = {velocity, acceleration, bend, view_velocity};
+        track_cell((int)((get_global_id(1) - 1) * get_global_size(0) + get_global_id(0)), frame, fragments, before, to);
+        return;
+    }
     __local ushort found[SCAN_GROUP * SCAN_BYTES];
     __local uint count;
     const int4 starts = frame->level_starts;
@@ -329,254 +285,5 @@ SCAN_FLAT __kernel void settle_levels(__constant Frame *restrict frame, __global
         const int texel = first + found[i];
         const uint winner = winner_of(keys, winners, texel);
         if (winner != NOBODY) settle(texel, winner, old, frame, levels);
-    }
-}
-
-/* ---- projection --------------------------------------------------------------------------------------------- */
-
-#define TEXEL_REACH 16.0f              /* px: the most that a texel covers to each side */
-/* TEXEL_HALF: of a texel's side: of fragments that met in a texel one is left, so gaps reach two texels */
-#define TEXEL_HALF 1.25f
-
-/* The new frame as the warp leaves it, and whom fragments are offered to. */
-typedef struct {
-    int width, pixels, pass;
-    __global const uchar *disoccluded;
-    __global Key *keys;
-    __global uint *winners;
-} Uncovered;
-
-/* Offers a fragment to the pixels from (x0, y0) to (x1, y1) that the warp left invalid. */
-INLINE void offer_to_pixels(const int x0, const int y0, const int x1, const int y1, const float z, const uint texel,
-                            const Uncovered to) {
-    for (int dst_y = y0; dst_y <= y1; ++dst_y) {
-        const int first = dst_y * to.width + x0, last = dst_y * to.width + x1;
-        if (first + RUN <= to.pixels && last - first < RUN && run_is_zero(to.disoccluded + first)) continue;
-        for (int dst = first; dst <= last; ++dst)
-            if (to.disoccluded[dst]) offer(to.pass, to.keys, to.winners, dst, z, texel);
-    }
-}
-
-/* Offers the remembered fragments of all levels; texels between two levels are EMPTY. */
-SCAN_FLAT __kernel void project_levels(__constant Frame *restrict frame, const int pass,
-                                       __global const float *levels_depth, __global const int *levels_px,
-                                       __global const uchar *levels_state, __global const uchar *disoccluded,
-                                       __global Key *keys, __global uint *winners) {
-    __local ushort found[SCAN_GROUP * SCAN_BYTES];
-    __local uint count;
-    const int4 starts = frame->level_starts;
-    const int target_width = frame->target_width, target_height = frame->target_height;
-    const Uncovered to = {.width = target_width,
-                          .pixels = target_width * target_height,
-                          .pass = pass,
-                          .disoccluded = disoccluded,
-                          .keys = keys,
-                          .winners = winners};
-    const float2 zoom = frame->zoom;
-    const int first = scan_for(REMEMBERED, levels_state, starts.w, found, &count);
-    for (uint i = get_local_id(0); i < count; i += SCAN_GROUP) {
-        const int texel = first + found[i], level = level_of(texel, starts), in_level = texel - start_of(level, starts);
-        const int width = level_side(frame->source_width, level);
-        const Texels texels = {.px = levels_px, .level = level, .width = width};
-        const float z_source = levels_depth[texel];
-        const float2 px = px_of(texels, texel, in_level % width, in_level / width, false);
-        const float3 there = reproject(px, z_source, frame->to_target);
-        if (!(there.z > 0.0f && there.x > -TEXEL_REACH && there.y > -TEXEL_REACH
-              && there.x < (float)target_width + TEXEL_REACH && there.y < (float)target_height + TEXEL_REACH))
-            continue;
-        const float nearer = isinf(there.z) ? 1.0f : divide(z_source, there.z);
-        const float side = TEXEL_HALF * (float)(1 << level) * nearer;
-        const float half_x = fmin(fmax(side * zoom.x, 0.5f), TEXEL_REACH),
-                    half_y = fmin(fmax(side * zoom.y, 0.5f), TEXEL_REACH);
-        offer_to_pixels(max((int)ceil(there.x - half_x - 0.5f), 0), max((int)ceil(there.y - half_y - 0.5f), 0),
-                        min((int)floor(there.x + half_x - 0.5f), target_width - 1),
-                        min((int)floor(there.y + half_y - 0.5f), target_height - 1), there.z, (uint)texel, to);
-    }
-}
-
-/* Code of the color of the 3x3 texels around a winner, weighted by their distance in the target image from `center`, of
-   the winner's surface only. */
-INLINE float3 color_around(const int winner, const int texel_x, const int texel_y, const int level_height,
-                           const float z_winner, const float2 side, const float2 center, __constant Frame *frame,
-                           const Texels texels) {
-    const float inverse_x = divide(1.0f, side.x), inverse_y = divide(1.0f, side.y);
-    float3 sum = (float3)(0.0f);
-    float weight_sum = 0.0f;
-    for (int tap = 0; tap < 9; ++tap) {
-        const int x = texel_x + tap % 3 - 1, y = texel_y + tap / 3 - 1;
-        const int texel = winner + (tap / 3 - 1) * texels.width + tap % 3 - 1;
-        if (!inside(x, y, texels.width, level_height)) continue;
-        const bool shown = texels.state[texel] == SHOWN;
-        if (!shown && texels.state[texel] != REMEMBERED) continue;
-        const float z = depth_of(texels, texel, shown);
-        if (!(z > 0.0f) || !is_same_surface(z, z_winner, 2.0f * SAME_LEVEL * z_winner)) continue;
-        const float3 there = reproject(px_of(texels, texel, x, y, shown), z, frame->to_target);
-        const float wx = 1.0f - fabs(there.x - center.x) * inverse_x, wy = 1.0f - fabs(there.y - center.y) * inverse_y;
-        if (!(there.z > 0.0f && wx > 0.0f && wy > 0.0f)) continue;
-        sum += wx * wy * code_of(texels, texel, shown, frame->code_offset);
-        weight_sum += wx * wy;
-    }
-    return weight_sum > 0.01f ? mean_of(sum, weight_sum) : code_of(texels, winner, false, frame->code_offset);
-}
-
-/* ---- colors beside ------------------------------------------------------------------------------------------ */
-
-#define MIXED_REACH 16 /* px beyond which the far side does not represent the remembered surface */
-
-#define FAR_COUNTS 0.5f /* px: weight of the far side per 1 / distance, a remembered color having 1 */
-#define BEYOND_EDGE 4 /* px beyond the edge of a hole, where colors do not change with the mover's outline */
-#define LEAST_CHANGE 0.001f /* squared change around, by which remembered colors count half; white is 1 */
-#define CONTRAST_COUNTS 4.0f /* of the squared difference from colors around, times that by which it counts half */
-
-/* The frame before. */
-typedef struct {
-    __global const half *color;
-    __global const float *depth;
-} Before;
-
-/* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before,
-                         float3 *code) {
-    const int width = frame->source_width, height = frame->source_height;
-    const float3 px_prev = reproject(center, z, frame->target_to_previous);
-    if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)width - 0.5f
-          && px_prev.y < (float)height - 0.5f))
-        return false;
-    const int x0 = (int)(px_prev.x - 0.5f), y0 = (int)(px_prev.y - 0.5f);
-    const float u = px_prev.x - 0.5f - (float)x0, v = px_prev.y - 0.5f - (float)y0;
-    float3 sum = (float3)(0.0f);
-    for (int tap = 0; tap < 4; ++tap) {
-        const int i = (y0 + (tap >> 1)) * width + x0 + (tap & 1);
-        if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_LEVEL * px_prev.z)) return false;
-        sum += bilinear_weight(tap, u, v) * load_code(before.color, i, frame->code_offset);
-    }
-    *code = sum;
-    return true;
-}
-
-/* What is around a hole of the background, BEYOND_EDGE px beyond `side` in direction k: its code in the frame before,
-   and the squared change since then, or -1 where that frame did not show it. */
-INLINE float4 change_around(const int k, __local const Side *side, __constant Frame *frame, const Before before,
-                            __global const uchar *disoccluded, __global const float *depth,
-                            __global const half *color) {
-    const float4 unknown = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
-    const int width = frame->target_width;
-    const int2 d = BEYOND_EDGE * direction(k);
-    const int dst_x = side->px % width + d.x, dst_y = side->px / width + d.y, dst = dst_y * width + dst_x;
-    if (!side->meets || !inside(dst_x, dst_y, width, frame->target_height) || disoccluded[dst]) return unknown;
-    const float z = depth[dst];
-    float3 code;
-    if (!is_as_far(inverse_of(z), side->inverse) || !shown_before(pixel_center(dst_x, dst_y), z, frame, before, &code))
-        return unknown;
-    const float3 change = load_code(color, dst, frame->code_offset) - code;
-    return (float4)(code, squared_length(change));
-}
-
-/* How far a remembered color is out of date, 0 to 1: as colors around have changed since the frame before, unless it
-   differed more from them there. */
-INLINE float staleness(const float3 remembered, __local const float4 *changes, const int far, const float offset) {
-    float4 sum = (float4)(0.0f);
-    float known = 0.0f;
-    for (int k = 0; k < DIRECTIONS; ++k) {
-        if (!has(far, k) || changes[k].w < 0.0f) continue;
-        sum += changes[k];
-        known += 1.0f;
-    }
-    if (!(known > 0.0f)) return 0.0f;
-    const float white = display_white(offset), change = divide(sum.w, known);
-    const float contrast = squared_length(remembered - mean_of(sum.xyz, known));
-    return divide(change, change + CONTRAST_COUNTS * contrast + 3.0f * LEAST_CHANGE * white * white);
-}
-
-/* Mixes a fill of the background with the far side. A surface's remembered color may be out of date, so the weighted
-   mean with the present color beside it is shown; that counts more the closer it is. */
-INLINE void mix_far_side(const int dst, __local const Side *sides, __local const float4 *changes,
-                         __constant Frame *frame, __global half *color) {
-    const int far = far_side(sides);
-    if (!far) return;
-    const float3 mean = weighted_mean(sides, far, false, frame->code_offset).xyz;
-    float counts = 0.0f;
-    for (int k = 0; k < DIRECTIONS; ++k) counts = fmax(counts, has(far, k) ? FAR_COUNTS * sides[k].closeness : 0.0f);
-    const float3 remembered = load_code(color, dst, frame->code_offset);
-    const float stale = staleness(remembered, changes, far, frame->code_offset);
-    const float3 sum = (1.0f - stale) * remembered + (stale + counts) * encode_color(mean, frame->code_offset);
-    store_code(mean_of(sum, 1.0f + counts), color, dst, frame->code_offset);
-}
-
-/* The new frame, and which remembered fragments won its pixels. */
-typedef struct {
-    __global const Key *keys;
-    __global const uint *winners;
-    __global half *color;
-    __global float *depth;
-    __global float2 *motion;
-    __global uchar *filled_by;
-} NewFrame;
-
-/* Fills an open pixel that a remembered fragment won, unless it is a mover's. `texels`: of all levels. Returns whether
-   it is filled. */
-INLINE bool fill_pixel(const int dst, Texels texels, __constant Frame *frame, const NewFrame to) {
-    const int dst_x = dst % frame->target_width, dst_y = dst / frame->target_width;
-    const uint winner = winner_of(to.keys, to.winners, dst);
-    if (winner == NOBODY || IS_OF_MOVER(to.filled_by[dst])) return false; /* its key may be a reappearing part's */
-    const int4 starts = frame->level_starts;
-    const int level = level_of(winner, starts), in_level = (int)winner - start_of(level, starts);
-    texels.level = level;
-    texels.width = level_side(frame->source_width, level);
-    const int texel_x = in_level % texels.width, texel_y = in_level / texels.width;
-    const float z_winner = texels.depth[winner];
-    const float2 center = pixel_center(dst_x, dst_y);
-    const float z = reproject(px_of(texels, winner, texel_x, texel_y, false), z_winner, frame->to_target).z;
-    const float3 px_source = reproject(center, z, frame->to_source);
-    if (!lands(px_source, frame->source_width, frame->source_height)) return false; /* only the footprint reaches it */
-    const float side = (float)(1 << level) * (isinf(z) ? 1.0f : divide(z_winner, z));
-    const float3 code = color_around(winner, texel_x, texel_y, level_side(frame->source_height, level), z_winner,
-                                     side * frame->zoom, center, frame, texels);
-    store_code(code, to.color, dst, frame->code_offset);
-    to.filled_by[dst] = (uchar)(1 + level);
-    to.depth[dst] = z;
-    to.motion[dst] = px_source.xy - center;
-    return true;
-}
-
-/* Fills the open pixels that remembered fragments won, but for movers' hidden parts. Where holes continue their far
-   side, these colors are mixed with it, a team of work-items for each. */
-WALK __kernel void fill_from_levels(__constant Frame *restrict frame, __global const half *color_prev,
-                                    __global const float *depth_prev, __global const half *frame_color,
-                                    __global const float *frame_depth, __global const uint *levels_color,
-                                    __global const float *levels_depth, __global const int *levels_px,
-                                    __global const uchar *levels_state, __global const uint *open,
-                                    __global const uchar *disoccluded, __global const Key *keys,
-                                    __global const uint *winners, __global half *color, __global float *depth,
-                                    __global float2 *motion, __global uchar *filled_by) {
-    __local Side sides[TEAMS][DIRECTIONS];
-    __local float4 changes[TEAMS][DIRECTIONS];
-    __local int is_filled[TEAMS];
-    const Before before = {color_prev, depth_prev};
-    const NewFrame to = {keys, winners, color, depth, motion, filled_by};
-    const Texels texels = {.color = levels_color,
-                           .frame_color = frame_color,
-                           .depth = levels_depth,
-                           .frame_depth = frame_depth,
-                           .px = levels_px,
-                           .state = levels_state};
-    const int width = frame->target_width, item = get_local_id(0), team = item / TEAM;
-    for (uint first = get_group_id(0) * TEAMS; first < open[0]; first += get_num_groups(0) * TEAMS) {
-        const uint own = item < TEAMS ? entry_of(open, first + item) : NO_ENTRY;
-        if (item < TEAMS) is_filled[item] = own != NO_ENTRY && fill_pixel((int)own, texels, frame, to);
-        WAIT_FOR_TEAM();
-        const bool mixes = frame->far_side && is_filled[team];
-        const int hole = mixes ? (int)entry_of(open, first + team) : 0;
-        for (int k = item % TEAM; mixes && k < DIRECTIONS; k += TEAM)
-            sides[team][k] = look(hole % width, hole / width, k, MIXED_REACH, frame, disoccluded, 1, depth, color);
-        WAIT_FOR_TEAM();
-        const int far = mixes ? far_side(sides[team]) : 0;
-        for (int k = item % TEAM; k < DIRECTIONS; k += TEAM)
-            if (has(far, k))
-                changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, depth, color);
-        WAIT_FOR_TEAM();
-        if (frame->far_side && item < TEAMS && is_filled[item])
-            mix_far_side((int)own, sides[item], changes[item], frame, color);
-        WAIT_FOR_TEAM();
     }
 }

@@ -36,7 +36,7 @@
 #define LINK_LEFT 4
 #define LINK_UP 8
 #define ALL_LINKS 15
-#define IN_LATTICE 16 /* beside them: the pixel goes where its block's layer goes (lattices.cl) */
+#define IN_LATTICE 16 /* beside them: the pixel goes where its block's layer goes (lattices.h) */
 
 /* Values of `filled_by`, the source of a pixel of an extrapolated frame; 1 + l is level l of the background. */
 #define BY_WARP 0

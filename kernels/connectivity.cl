@@ -48,6 +48,24 @@ INLINE Ints links_of(const Span p, __global const float *depth, __global const u
     return links;
 }
 
+/* Links with those of lattices: pixels of a lattice are linked with each other, and with no others. `around`: which
+   blocks are part of one (lattices.h), but for those in which something stirs. */
+INLINE Ints with_lattices(const Ints links, const Span p, const uchar around, __constant Frame *frame,
+                          __global const int *last_stir) {
+    const int columns = block_columns(p.width), block = block_of(p.x, p.y, p.width);
+    const int beside[5] = {block + 1, block + columns, block - 1, block - columns, block};
+    int found = 0;
+    for (int k = 0; k < 5; ++k)
+        if (around >> k & 1 && calm_frames(beside[k], frame, last_stir) > 0) found |= LINK_RIGHT << k;
+    /* links that stay: but for those across the border of a lattice */
+    const int own = found & IN_LATTICE ? ALL_LINKS : 0, parts = (found ^ own) & ALL_LINKS;
+    const Ints column = p.x % BLOCK_WIDTH + LANE_NUMBERS;
+    const int row = p.y % BLOCK_HEIGHT, last = (row == BLOCK_HEIGHT - 1 ? LINK_DOWN : 0) | (row == 0 ? LINK_UP : 0);
+    const Ints ends = (column == BLOCK_WIDTH - 1 ? (Ints)(LINK_RIGHT) : (Ints)(0))
+                      | (column == 0 ? (Ints)(LINK_LEFT) : (Ints)(0)) | last;
+    return own ? ~(ends & parts) & (IN_LATTICE | ALL_LINKS) : links & ~(ends & parts);
+}
+
 /* The background before collection: the state of all levels, and the receivers of fragments offered to them. */
 typedef struct {
     __global uchar *levels_state;
@@ -57,9 +75,9 @@ typedef struct {
 
 /* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`:
    texels are SHOWN where depth is valid and none of 3x3 pixels is dynamic or nearer, and an EDGE where one is nearer,
-   but none is dynamic. The others are EMPTY, and no fragment is offered to them yet. */
-INLINE void find(const Span p, __global const float *depth, __global const uchar *dynamic_mask, const int collect,
-                 __global uchar *links, const Collecting to) {
+   but none is dynamic. The others are EMPTY, and no fragment is offered to them yet. `around`: of with_lattices. */
+INLINE void find(const Span p, __constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
+                 __global const int *last_stir, const uchar around, __global uchar *links, const Collecting to) {
     const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);
     const Floats z = depth_beside(p, depth, 0, 0);
     Floats nearest = z;
@@ -70,8 +88,10 @@ INLINE void find(const Span p, __global const float *depth, __global const uchar
         nearest = beside < nearest ? beside : nearest;
         moving |= bytes_beside(p, dynamic_mask, k % 3 - 1, k / 3 - 1);
     }
-    store_some_bytes(to_bytes(links_of(p, depth, dynamic_mask, ANY(moving != 0))), count, links + i);
-    if (!collect) return;
+    Ints linked = links_of(p, depth, dynamic_mask, ANY(moving != 0));
+    if (around) linked = with_lattices(linked, p, around, frame, last_stir);
+    store_some_bytes(to_bytes(linked), count, links + i);
+    if (!frame->collects || !frame->has_previous) return;
     const Ints settled = (z > 0.0f) & (moving == 0), clean = settled & !(nearest < z * MIXES_IN);
     const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
     store_some_bytes(to_bytes(state), count, to.levels_state + i);
@@ -80,19 +100,21 @@ INLINE void find(const Span p, __global const float *depth, __global const uchar
 }
 
 WIDE __kernel void find_links(__constant Frame *restrict frame, __global const float *depth,
-                              __global const uchar *dynamic_mask, __global const int *last_stir, __global uchar *links,
-                              __global uchar *levels_state, __global Key *keys, __global uint *winners) {
+                              __global const uchar *dynamic_mask, __global const int *last_stir,
+                              __global const uchar *lattices, __global uchar *links, __global uchar *levels_state,
+                              __global Key *keys, __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height;
-    const int collect = frame->collects && frame->has_previous;
     const int x = get_global_id(0) * LANES, y = get_global_id(1);
     const Collecting to = {levels_state, keys, winners};
     if (x >= width || y >= height) return;
-    if (links_are_known(block_of(x, y, width), frame, last_stir)) return;
+    const int block = block_of(x, y, width);
+    if (links_are_known(block, frame, last_stir)) return;
+    const uchar around = frame->lattices && frame->has_previous ? lattices[block] : 0;
     Span p = {x, y, width, height, false};
     if (x >= REACH && x + LANES + REACH <= width && y >= REACH && y + REACH < height) {
         p.inner = true;
-        find(p, depth, dynamic_mask, collect, links, to);
+        find(p, frame, depth, dynamic_mask, last_stir, around, links, to);
     } else {
-        find(p, depth, dynamic_mask, collect, links, to);
+        find(p, frame, depth, dynamic_mask, last_stir, around, links, to);
     }
 }

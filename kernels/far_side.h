@@ -1,4 +1,4 @@
-/* What lies around a hole in eight directions, and the farthest of it (background.cl, holes.cl). */
+/* What lies around a hole in eight directions, and the farthest of it (projection.cl, holes.cl). */
 
 #include "frame.h"
 #include "color_code.h"
@@ -18,31 +18,31 @@ typedef struct {
     float closeness, inverse, code_x, code_y, code_z;
 } Side;
 
-/* Lets a direction from the hole `dst` meet a pixel, t steps of d away. */
-INLINE void meet(Side *side, const int dst, const int t, const int2 d, __constant Frame *frame,
-                 __global const float *depth, __global const half *color) {
-    const int px = dst + t * (d.y * frame->target_width + d.x);
-    const float z = depth[px];
-    const float3 code = load_code(color, px, frame->code_offset);
-    side->px = px;
+/* Lets a direction from the hole `dst` meet a pixel, t steps of d away ... */
+INLINE void meet(Side *side, const int dst, const int t, const int2 d, __constant Frame *frame) {
+    side->px = dst + t * (d.y * frame->target_width + d.x);
     side->closeness = divide(1.0f, (float)t * step_length(d));
-    side->inverse = inverse_of(z);
-    side->code_x = code.x;
-    side->code_y = code.y;
-    side->code_z = code.z;
 }
 
-/* Looks in direction k from a hole, up to `reach` px away, for a pixel that `mask` does not call a `hole`. */
+/* ... which shows this (code, depth). */
+INLINE void show(Side *side, const float4 shown) {
+    side->inverse = inverse_of(shown.w);
+    side->code_x = shown.x;
+    side->code_y = shown.y;
+    side->code_z = shown.z;
+}
+
+/* Looks in direction k from a hole, up to `reach` px away, for a pixel that `mask` does not call a `hole`. The caller
+   says what that shows. */
 INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
-                 __global const uchar *mask, const uchar hole, __global const float *depth,
-                 __global const half *color) {
+                 __global const uchar *mask, const uchar hole) {
     const int width = frame->target_width, dst = dst_y * width + dst_x;
     const int2 d = direction(k);
     const int offset = d.y * width + d.x;
     const int t =
         first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, frame->target_height), mask, hole);
     Side side = {t != 0, false, false, false, dst, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
-    if (t != 0) meet(&side, dst, t, d, frame, depth, color);
+    if (t != 0) meet(&side, dst, t, d, frame);
     return side;
 }
 

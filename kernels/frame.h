@@ -71,6 +71,7 @@ typedef struct {
     int detects; /* whether samples are counted that tell a cut */
     int automatic; /* whether the static threshold follows from the frame */
     int sharpness; /* whether it is measured, and new frames are resampled with it */
+    int lattices; /* whether blocks may move as one layer */
 } Frame;
 
 /* Bits of `has_overlays`. */

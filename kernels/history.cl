@@ -5,6 +5,7 @@
 #include "frame.h"
 #include "blocks.h"
 #include "encode.h"
+#include "lattices.h"
 #include "scene_cuts.h"
 #include "sharpness.h"
 #include "thresholds.h"
@@ -239,12 +240,19 @@ measure_samples(const Frame given, __global Frame *frame, __global const half *c
                 __global const float2 *motion, __global const half *color_prev, __global const float *depth_prev,
                 __global const float *steps_prev, __global int *cut_counts, __global int *pending,
                 __global int *histogram, __global float *threshold_squared, __global float *motion_steps,
-                __global float *quantization_error, __global float *sharpness) {
+                __global float *quantization_error, __global float *sharpness, __global float4 *layer,
+                __global float4 *errors) {
     const int width = given.source_width, height = given.source_height, item = get_local_id(0);
     const int row = (int)get_global_id(1) - (SAMPLES_Y + 1), first = row * RESIDUAL_ROWS * RESIDUAL_STRIDE;
     __local int counts[HISTOGRAMS * RESIDUAL_BINS], is_last;
     if (get_global_id(1) == 0) { /* a row of its own: it takes many registers */
         if (get_global_id(0) == 0) *frame = given;
+        return;
+    }
+    const int rows = (height + RESIDUAL_ROWS * RESIDUAL_STRIDE - 1) / (RESIDUAL_ROWS * RESIDUAL_STRIDE);
+    if (row >= rows) {
+        const int block = (row - rows) * (int)get_global_size(0) + (int)get_global_id(0);
+        weigh_layers(block, &given, depth, color, color_prev, layer, errors);
         return;
     }
     if (row < 0 ? get_group_id(0) > 0 : !given.automatic) return;
@@ -500,11 +508,16 @@ WIDE __kernel void track_history(__constant Frame *restrict frame, __global cons
                                  __global const float *threshold_squared, __global const float *quantization_error,
                                  __global const half *color, __global uchar *dynamic_mask, __global float *met_depth,
                                  __global float4 *history, __global int *last_stir, __global half *codes,
-                                 __global float *motion_steps) {
+                                 __global float *motion_steps, __global const float4 *layer,
+                                 __global const float4 *errors, __global uchar *lattices, __global float4 *plane) {
     const Frames frames = {depth, depth_prev, motion, dynamic_prev, history_prev, met_depth, history};
     const int source_width = frame->source_width, source_height = frame->source_height;
     const int has_previous = frame->has_previous && frame->motion;
     const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1);
+    if (src_y >= source_height && frame->lattices && frame->has_previous) {
+        const int block = (src_y - source_height) * (int)get_global_size(0) + (int)get_global_id(0);
+        find_lattices(block, frame, layer, errors, lattices, plane);
+    }
     if (src_x >= source_width || src_y >= source_height) return;
     const int src = src_y * source_width + src_x;
     const int count = min(source_width - src_x, LANES);

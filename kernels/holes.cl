@@ -174,15 +174,16 @@ INLINE int behind_edge(const Side side, const int k, __constant Frame *frame, co
     return side.inverse > inverse_of(z) * FAR_SIDE ? src : -1;
 }
 
+/* Code and depth of a pixel of the new frame. */
+INLINE float4 code_at(const int dst, __constant Frame *frame, const Images f) {
+    return (float4)(load_code(f.color, dst, frame->code_offset), f.depth[dst]);
+}
+
 /* Lets a direction from a hole meet what is behind the surface that it has met, in the rendered frame's pixel `src`. */
 INLINE void meet_behind(Side *side, const int dst_x, const int dst_y, const int src, __constant Frame *frame,
                         const Images f) {
-    const float3 code = stored_code(f.codes, src);
-    side->inverse = inverse_of(f.source_depth[src]);
+    show(side, (float4)(stored_code(f.codes, src), f.source_depth[src]));
     side->closeness *= BEHIND_EDGE;
-    side->code_x = code.x;
-    side->code_y = code.y;
-    side->code_z = code.z;
     const float3 px_source = static_source(dst_x, dst_y, side->inverse, frame->to_source);
     const bool is_outside = is_out_of_screen(px_source, frame);
     side->is_outside = is_outside && !side->is_of_mover;
@@ -206,7 +207,8 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
         const float3 px_source = static_source(dst_x, dst_y, inverse_of(z), frame->to_source);
         if (!is_out_of_screen(px_source, frame) && can_be_at(px_source, frame, f.source_depth)) {
             Side found = {.meets = true, .can_be_there = true};
-            meet(&found, dst, t, d, frame, f.depth, f.color);
+            meet(&found, dst, t, d, frame);
+            show(&found, code_at(px, frame, f));
             TELL(f, TOLD_OF_SIDE * k + PAST, side->px + 1);
             *side = found;
             return;
@@ -224,8 +226,9 @@ INLINE void look_past(const int dst_x, const int dst_y, const int k, const int r
 /* What a hole meets in direction k, up to `reach` px away. */
 INLINE Side look_beside(const int dst_x, const int dst_y, const int k, const int reach, __constant Frame *frame,
                         const Images f) {
-    Side s = look(dst_x, dst_y, k, reach, frame, f.filled_by, BY_HOLE_FILLING, f.depth, f.color);
+    Side s = look(dst_x, dst_y, k, reach, frame, f.filled_by, BY_HOLE_FILLING);
     if (!s.meets) return s;
+    show(&s, code_at(s.px, frame, f));
     const float3 px_source = static_source(dst_x, dst_y, s.inverse, frame->to_source);
     s.is_of_mover = is_of_mover(s.px, f);
     const bool ends = behind_edge(s, k, frame, f) >= 0, is_outside = is_out_of_screen(px_source, frame);

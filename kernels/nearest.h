@@ -34,15 +34,15 @@ INLINE bool may_win(const int pass, __global const Key *keys, const int c, const
 #endif
 }
 
-/* Returns whether nothing was offered before. */
+/* Returns whether nothing was offered before but what gives way. */
 INLINE bool offer_bits(const int pass, __global Key *keys, __global uint *winners, const int c, const uint depth_bits,
                        const uint i) {
     if (!may_win(pass, keys, c, depth_bits)) return false;
 #ifdef INT64_ATOMICS
     (void)winners;
-    return atom_min(keys + c, ((ulong)depth_bits << 32) | i) == (Key)(-1);
+    return (uint)(atom_min(keys + c, ((ulong)depth_bits << 32) | i) >> 32) & GIVES_WAY;
 #else
-    if (pass == 0) return atomic_min(keys + c, depth_bits) == (Key)(-1);
+    if (pass == 0) return atomic_min(keys + c, depth_bits) & GIVES_WAY;
     atomic_min(winners + c, i);
     return false;
 #endif

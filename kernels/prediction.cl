@@ -180,12 +180,12 @@ INLINE void forget_targets(const int src_x, const int src_y, const Frame *frame,
             for (int k = 0; k < min(count, width - x); ++k) forget(keys, winners, y * width + x + k);
 }
 
-/* Depths of LANES pixels: where their block moves as one layer (lattices.cl), those of its plane. */
+/* Depths of LANES pixels: where their block moves as one layer (lattices.h), those of its plane. */
 INLINE Floats depths_of_layer(const int src_x, const int src_y, const Frame *frame, __global const float *depth,
-                              __global const uchar *is_lattice, __global const float4 *layer) {
-    const int block = block_of(src_x, src_y, frame->source_width);
-    if (frame->dilates || !is_lattice[block]) return load_floats(0, depth + src_y * frame->source_width + src_x);
-    const float4 p = layer[block];
+                              __global const uchar *links, __global const float4 *layer) {
+    const int src = src_y * frame->source_width + src_x;
+    if (!frame->lattices || !(links[src] & IN_LATTICE)) return load_floats(0, depth + src);
+    const float4 p = layer[block_of(src_x, src_y, frame->source_width)];
     const Floats across = row_centers(src_x % BLOCK_WIDTH) - 0.5f * (float)BLOCK_WIDTH;
     const float down = (float)(src_y % BLOCK_HEIGHT) + 0.5f - 0.5f * (float)BLOCK_HEIGHT;
     return wide_divide((Floats)(1.0f), (p.x + p.z * down) + p.y * across);
@@ -198,7 +198,7 @@ WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, _
                                      __global const float *met_depth, __global const float4 *history,
                                      __global const float4 *velocity, __global const uint2 *acceleration,
                                      __global const uint2 *bend, __global const uint2 *view_velocity,
-                                     __global const uchar *is_lattice, __global const float4 *layer,
+                                     __global const uchar *links, __global const float4 *layer,
                                      __global float *target_position, __global Key *keys, __global uint *winners) {
     const Tracked fragments = {depth,    motion,       dynamic_mask, met_depth,    history,
                                velocity, acceleration, bend,         view_velocity};
@@ -214,7 +214,7 @@ WIDE __kernel void predict_positions(const Frame given, __global Frame *frame, _
     const bool whole = src_x + LANES <= source_width;
     bool movers = false;
     if (whole) {
-        const Floats z = depths_of_layer(src_x, src_y, &given, depth, is_lattice, layer);
+        const Floats z = depths_of_layer(src_x, src_y, &given, depth, links, layer);
         const Wide3 target = wide_reproject(row_centers(src_x), (Floats)((float)src_y + 0.5f), z, given.to_target);
         const Ints valid = (z > 0.0f) & (target.z > 0.0f);
         store_floats(valid ? target.x : (Floats)(NOWHERE), 0, target_position + src);

@@ -224,8 +224,8 @@ def collection(at: Moment) -> Panels:
 
 
 def projection(at: Moment) -> Panels:
-    before, after = at.read("hidden_parts.filled_by"), at.read("background.filled_by")
-    image = with_holes(at, "background")
+    before, after = at.read("hidden_parts.filled_by"), at.read("projection.filled_by")
+    image = with_holes(at, "projection")
     return [
         ("before", with_holes(at, "hidden_parts")),
         ("blue: from the background", marked(grayed(image), (is_hole(before) & ~is_hole(after), BLUE))),
@@ -235,7 +235,7 @@ def projection(at: Moment) -> Panels:
 
 def holes(at: Moment) -> Panels:
     return [
-        ("before", with_holes(at, "background")),
+        ("before", with_holes(at, "projection")),
         ("after: holes continue their far side", at.color("holes.color")),
         ("ground truth", at.truth),
     ]

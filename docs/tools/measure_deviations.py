@@ -96,7 +96,7 @@ GAE: dict[str, Change] = {
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={
-            "connectivity.cl": {"if (!collect) return;": ""},
+            "connectivity.cl": {"if (!frame->collects || !frame->has_previous) return;": ""},
             "background.cl": {
                 "!frame->has_previous && texel": "!frame->has_previous && level > 0 && texel",
                 "if (!frame->has_previous) return;": "",
@@ -120,7 +120,7 @@ GAE: dict[str, Change] = {
             }
         },
     ),
-    "background texels cover what they map to": Change(constants={"background.cl": {"TEXEL_HALF": "0.0f"}}),
+    "background texels cover what they map to": Change(constants={"projection.cl": {"TEXEL_HALF": "0.0f"}}),
     "hidden parts of movers": Change({"hidden_parts": False}),
     "… the frame before must not have shown anything farther": Change(
         edits={"hidden_parts.cl": {"if (!frame->has_previous ||": "if (true ||"}}

@@ -100,7 +100,7 @@ def test_layers_do_not_depend_on_what_is_kept(device):
     pipeline.keep(["warp.motion", "holes.color"])
     assert list(layers_of(pipeline).items()) == list(layers.items())
     generated = {name for name, spec in layers.items() if spec.of_generated}
-    assert {"frame.color", "warp.color", "background.color", "holes.color", "prediction.target_position"} <= generated
+    assert {"frame.color", "warp.color", "projection.color", "holes.color", "prediction.target_position"} <= generated
     assert not generated & {"final", "rendered.color", "history.history", "connectivity.links", "background.color_0"}
 
 

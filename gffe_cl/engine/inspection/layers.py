@@ -84,7 +84,7 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
         ),
     )
 }
-_BITS = {names.LINKS: ("right", "down", "left", "up", "lattice")}
+_BITS = dict.fromkeys((names.LINKS, "lattices.lattices"), ("right", "down", "left", "up", "lattice"))
 _LABELS = {
     names.RENDERED_COLOR: "Rendered color",
     names.GAE: "GAE",

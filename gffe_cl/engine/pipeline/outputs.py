@@ -13,17 +13,17 @@ import pyopencl as cl
 
 from gffe_cl.engine.opencl.device import Device
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.background import Background
+from gffe_cl.engine.stages.background import Background, Projection
 from gffe_cl.engine.stages.base import Board, Stage, pictures_of
 from gffe_cl.engine.stages.buffers import BufferSpec, Owner, Sizes
 from gffe_cl.engine.stages.correction import ShadingCorrection
-from gffe_cl.engine.stages.history import Acceleration, HistoryTracking, PositionPrediction
+from gffe_cl.engine.stages.history import Acceleration, HistoryTracking, Lattices, PositionPrediction
 from gffe_cl.engine.stages.holes import FILLINGS, HiddenParts, HoleFilling
 from gffe_cl.engine.stages.measures import SceneCuts, UserInterface
 from gffe_cl.engine.stages.network import Convolutions, NetworkInput
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs, ShadingTrend
 from gffe_cl.engine.stages.silhouettes import Silhouettes
-from gffe_cl.engine.stages.warp import BackwardBlocks, ColorCode, Connectivity, DilatedWarp, Lattices, Warp
+from gffe_cl.engine.stages.warp import BackwardBlocks, ColorCode, Connectivity, DilatedWarp, Warp
 from gffe_cl.engine.upscaling.stage import Upscaling
 
 # In the order in which they work, on rendered frames and on new ones.
@@ -41,6 +41,7 @@ STAGES: tuple[type[Stage], ...] = (
     DilatedWarp,
     HiddenParts,
     Background,
+    Projection,
     HoleFilling,
     Silhouettes,
     ShadingInputs,

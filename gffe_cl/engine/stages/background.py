@@ -1,4 +1,4 @@
-"""Background collection and projection (paper: 'Hierarchical Background Collection')."""
+"""Background collection and projection (paper: 'Hierarchical Background Collection'), and parts that reappear."""
 
 from __future__ import annotations
 
@@ -12,6 +12,8 @@ from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Step
 from gffe_cl.engine.stages.buffers import OFFSET, RGB9E5, RGBA, XY, BufferSpec, Sizes, grid_of
+from gffe_cl.engine.stages.history import TRACKS_CELLS, Acceleration
+from gffe_cl.engine.stages.holes import HiddenParts
 
 _CONSTANTS = constants("background.cl")
 EMPTY, SHOWN, REMEMBERED, EDGE = (_CONSTANTS[name] for name in ("EMPTY", "SHOWN", "REMEMBERED", "EDGE"))
@@ -72,43 +74,12 @@ class Background(NearestStage):
             "levels{levels}",
             {"frame_color": "previous.color", "frame_depth": "previous.depth"}
             | _levels("color depth px", "old_", "'")
-            | _COLLECTED,
-            _levels("color depth px") | {"levels_state": "background.state"},
+            | _COLLECTED
+            | TRACKS_CELLS[0],
+            _levels("color depth px") | {"levels_state": "background.state"} | TRACKS_CELLS[1],
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
-        ),
-        Kernel(
-            "project_levels",
-            "levels{levels}",
-            _levels("depth px state") | {"disoccluded": "frame.disoccluded"} | _PROJECTED,
-            _PROJECTED,
-            step=("SCAN_BYTES", 1),
-            group="SCAN_GROUP",
-        ),
-        Kernel(
-            "fill_from_levels",
-            "walk",
-            {
-                "frame_color": "rendered.color",
-                "frame_depth": "rendered.depth",
-                "open": "warp.open",
-                "color_prev": "previous.color",
-                "depth_prev": "previous.depth",
-                "disoccluded": "frame.disoccluded",
-                "color": "frame.color",
-                "depth": "frame.depth",
-                "filled_by": "frame.filled_by",
-            }
-            | _levels("color depth px state")
-            | _PROJECTED,
-            {
-                "color": "frame.color",
-                "depth": "frame.depth",
-                "motion": "frame.motion",
-                "filled_by": "frame.filled_by",
-            },
-            step=("LANES", 1),
-            group="WALK_GROUP",
+            below=TRACKS_CELLS[2],
         ),
     )
 
@@ -135,6 +106,8 @@ class Background(NearestStage):
             state,
             *self._places,
         )
+        if Acceleration.name not in board.stages:
+            self.kernels = tuple(replace(kernel, below="") for kernel in self.kernels)
         super().__init__(board)
         for name in ("memory'", *_KEY_MEMORY):
             board.memory.lend(self, name)
@@ -174,12 +147,6 @@ class Background(NearestStage):
                 else:
                     self.launch("scatter_hidden", step, level=level, **{"pass": scatter_pass})
         self.launch("settle_levels", step, levels=self.levels)
-
-    def extrapolated(self, step: Step) -> None:
-        """Fill the pixels that the warp left invalid, nearest fragment of all levels first."""
-        for project_pass in self.passes:
-            self.launch("project_levels", step, levels=self.levels, **{"pass": project_pass})
-        self.launch("fill_from_levels", step)
 
 
 def _level_buffers(level: int) -> tuple[BufferSpec, ...]:
@@ -224,3 +191,69 @@ def _side_by_side(specs: Iterable[BufferSpec], sizes: Sizes) -> dict[BufferSpec,
         starts[spec] = end
         end = sizes.aligned(end + spec.nbytes(sizes) + 1)
     return starts
+
+
+class Projection(NearestStage):
+    """Fills the pixels that the warp left invalid from the background, nearest fragment of all levels first, and shows
+    parts of movers that come out from behind something nearer."""
+
+    name = "projection"
+    paper = Background.paper
+    needs_footprints = True
+    kernels = (
+        Kernel(
+            "offer_hidden",
+            "levels{levels}",
+            _levels("depth px state")
+            | {
+                "disoccluded": "frame.disoccluded",
+                "depth": "rendered.depth",
+                "motion": "rendered.motion",
+                "dynamic_mask": "history.dynamic_mask",
+                "links": "connectivity.links",
+                "met_depth": "history.met_depth",
+                "target_position": "prediction.target_position",
+                "depth_prev": "previous.depth",
+                "shown_depth": "frame.depth",
+            }
+            | _PROJECTED,
+            {"filled_by": "frame.filled_by", "offered": "hidden_parts.offered"} | _PROJECTED,
+            step=("SCAN_BYTES", 1),
+            group="SCAN_GROUP",
+        ),
+        Kernel(
+            "fill_hidden",
+            "walk",
+            {
+                "frame_color": "rendered.color",
+                "frame_depth": "rendered.depth",
+                "source_motion": "rendered.motion",
+                "color_prev": "previous.color",
+                "depth_prev": "previous.depth",
+                "target_position": "prediction.target_position",
+                "open": "warp.open",
+                "offered": "hidden_parts.offered",
+                "disoccluded": "frame.disoccluded",
+                "color": "frame.color",
+                "depth": "frame.depth",
+                "filled_by": "frame.filled_by",
+            }
+            | _levels("color depth px state")
+            | _PROJECTED,
+            {name: f"frame.{name}" for name in ("color", "depth", "motion", "filled_by")}
+            | {"is_dynamic": "frame.dynamic"},
+            step=("LANES", 1),
+            group="WALK_GROUP",
+        ),
+    )
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return Background.is_wanted(options) or (HiddenParts.is_wanted(options) and options.reappearing)
+
+    def extrapolated(self, step: Step) -> None:
+        options = self.board.options
+        reappear, levels = HiddenParts.name in self.board.stages and options.reappearing, max(options.levels, 1)
+        for offer_pass in self.passes:
+            self.launch("offer_hidden", step, reappear=reappear, levels=levels, **{"pass": offer_pass})
+        self.launch("fill_hidden", step)

@@ -6,6 +6,7 @@ of stages and memory.
 
 from __future__ import annotations
 
+import math
 from array import array
 from collections.abc import Callable, Hashable, Iterable, Mapping
 from dataclasses import dataclass, field
@@ -34,7 +35,8 @@ class Kernel:
     """A kernel of a stage.
 
     `grid` has its work-items, one per `step` pixels each way (a number, or the name of a constant of the kernel file);
-    `group` of them, in a row, make a work-group, with `group_rows` rows (None: as suits the device). `repeats` is the
+    `group` of them, in a row, make a work-group, with `group_rows` rows (None: as suits the device). `below` these are
+    more rows, with a work-item for each texel of that grid. `repeats` is the
     name of a number, given at the launch: so often the grid is repeated, in a third dimension. `reads` and `writes` are
     names of buffers, by the names of its arguments; {…} in them are given at the launch. Buffers that are both read and
     written are in both. A launch may give another buffer
@@ -48,6 +50,7 @@ class Kernel:
     step: tuple[int | str, int | str] = (1, 1)
     group: int | str | None = None
     group_rows: int | str = 1
+    below: str = ""
     repeats: str = ""
     choices: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
@@ -396,7 +399,9 @@ class Stage(Owner):
         group = _ROW if self.device.lanes > 1 else _TILE
         if kernel.group:
             group = self._number(kernel.group), self._number(kernel.group_rows)
-        items = -(-width // group[0]) * group[0], -(-height // group[1]) * group[1]
+        across = -(-width // group[0]) * group[0]
+        height += -(-math.prod(self.sizes.of(kernel.below)) // across) if kernel.below else 0
+        items = across, -(-height // group[1]) * group[1]
         if kernel.repeats:
             items, group = (*items, given[kernel.repeats]), (*group, 1)
         made = self.program.kernel(kernel.name)

@@ -19,6 +19,9 @@ _CLASSES = ("x", "negative_x", "y", "negative_y")
 STATIC, DYNAMIC, FIXED_TO_CAMERA = (_CONSTANTS[name] for name in ("STATIC", "DYNAMIC", "FIXED_TO_CAMERA"))
 
 
+_LAYERS = {name: f"lattices.{name}" for name in ("layer", "errors")}
+
+
 class HistoryTracking(Stage):
     """Tracks which fragments move, and where they were in the frames before."""
 
@@ -121,9 +124,11 @@ class HistoryTracking(Stage):
                 "motion_steps": "history.motion_steps",
                 "quantization_error": "history.quantization_error",
                 "sharpness": "history.sharpness",
-            },
+            }
+            | _LAYERS,
             step=("LANES", "RESIDUAL_ROWS"),
             group="COUNT_GROUP",
+            below="source_blocks",
         ),
         Kernel(
             "track_history",
@@ -137,7 +142,8 @@ class HistoryTracking(Stage):
                 "threshold_squared": "history.static_threshold_squared",
                 "quantization_error": "history.quantization_error",
                 "color": "rendered.color",
-            },
+            }
+            | _LAYERS,
             {
                 "dynamic_mask": "history.dynamic_mask",
                 "met_depth": "history.met_depth",
@@ -145,13 +151,19 @@ class HistoryTracking(Stage):
                 "last_stir": "history.last_stir",
                 "codes": "color_code.codes",
                 "motion_steps": "history.motion_steps",
+                "lattices": "lattices.lattices",
+                "plane": "lattices.plane",
             },
             step=("LANES", 1),
+            below="source_blocks",
         ),
     )
 
     def __init__(self, board: Board):
         self.positions = board.facts["positions"] = board.options.history
+        self.weighs = board.facts["lattices"] = board.options.lattices and board.options.warps_footprints
+        if not self.weighs:  # no block is weighed as a layer
+            self.kernels = tuple(replace(kernel, below="") for kernel in self.kernels)
         self.detects = board.facts["detects"] = SceneCuts.name in board.stages
         if not self.detects:  # it counts nothing for them
             measure, *others = self.kernels
@@ -177,9 +189,11 @@ class HistoryTracking(Stage):
             self.upload("static_threshold_squared", np.array([threshold**2], np.float32))
 
     def measure(self, step: Step) -> None:
-        """Count the samples of a cut, and find the automatic threshold and the sharpness, of a rendered frame with a
-        previous one, unless that is done."""
-        if self._measured is not step.key and (self.automatic or self.detects or self.board.options.sharpness):
+        """Count the samples of a cut, find the automatic threshold and the sharpness, and weigh blocks as layers of
+        lattices, of a rendered frame with a previous one, unless that is done."""
+        if self._measured is not step.key and (
+            self.automatic or self.detects or self.weighs or self.board.options.sharpness
+        ):
             self._measured = step.key
             self.launch("measure_samples", step)
 
@@ -190,7 +204,52 @@ class HistoryTracking(Stage):
         self.launch("track_history", step)
 
 
+class Lattices(Stage):
+    """Finds blocks in which wires and gaps of fences or nets alternate at the pitch of pixels: they move as one layer,
+    in the plane of the wires (not in the paper). History tracking weighs and finds them, and `Connectivity` links
+    their pixels."""
+
+    name = "lattices"
+    needs_footprints = True
+    builds_at_once = False  # it has no kernels of its own
+    buffers = (
+        BufferSpec(
+            "layer", np.float32, ("x", "y", "inverse depth", "count"), "source_blocks",
+            "mean place and inverse depth of a block's nearest surface, and how many pixels show it", scratch=True,
+        ),
+        BufferSpec(
+            "errors", np.float32, ("two layers", "one layer", "across", "down"), "source_blocks",
+            "what either motion leaves of the frame before, and steps of depth", scratch=True,
+        ),
+        BufferSpec(
+            "lattices", np.uint8, (), "source_blocks",
+            "blocks that are lattices if nothing moves in them: 16 this one, 1 right, 2 down, 4 left, 8 up", "label",
+        ),
+        BufferSpec(
+            "plane", np.float32, ("inverse depth", "along x", "along y", "unused"), "source_blocks",
+            "there, the layer's inverse depth at the block's center, and its slopes per pixel", scratch=True,
+        ),
+    )  # fmt: skip
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.lattices
+
+
 _CELLS = f"level{constants('mover_grid.h')['MOVER_CELL'].bit_length() - 1}"
+_OF_CELLS = ("velocity", "acceleration", "bend", "view_velocity")
+# What a kernel that tracks acceleration reads and writes, and its grid.
+TRACKS_CELLS: tuple[dict[str, str], dict[str, str], str] = (
+    {
+        "depth": "rendered.depth",
+        "motion": "rendered.motion",
+        "dynamic_mask": "history.dynamic_mask",
+        "met_depth": "history.met_depth",
+    }
+    | {f"{name}_prev": f"acceleration.{name}'" for name in _OF_CELLS},
+    {name: f"acceleration.{name}" for name in _OF_CELLS},
+    _CELLS,
+)
 
 
 class Acceleration(Stage):
@@ -245,35 +304,21 @@ class Acceleration(Stage):
             packing=TRUSTED,
         ),
     )
-    kernels = (
-        Kernel(
-            "track_acceleration",
-            _CELLS,
-            {
-                "depth": "rendered.depth",
-                "motion": "rendered.motion",
-                "dynamic_mask": "history.dynamic_mask",
-                "met_depth": "history.met_depth",
-                "velocity_prev": "acceleration.velocity'",
-                "acceleration_prev": "acceleration.acceleration'",
-                "bend_prev": "acceleration.bend'",
-                "view_velocity_prev": "acceleration.view_velocity'",
-            },
-            {
-                "velocity": "acceleration.velocity",
-                "acceleration": "acceleration.acceleration",
-                "bend": "acceleration.bend",
-                "view_velocity": "acceleration.view_velocity",
-            },
-        ),
-    )
+    kernels = (Kernel("track_acceleration", _CELLS, *TRACKS_CELLS[:2]),)
 
     @classmethod
     def is_wanted(cls, options: Options) -> bool:
         return options.motion and options.acceleration and options.order == 1
 
+    def __init__(self, board: Board):
+        self.builds_at_once = not (board.options.levels and board.options.warps_footprints)
+        if not self.builds_at_once:  # the background tracks it, which comes later
+            self.kernels = ()
+        super().__init__(board)
+
     def rendered(self, step: Step) -> None:
-        self.launch("track_acceleration", step)
+        if self.kernels:
+            self.launch("track_acceleration", step)
 
 
 class PositionPrediction(NearestStage):
@@ -309,7 +354,7 @@ class PositionPrediction(NearestStage):
                 "acceleration": "acceleration.acceleration",
                 "bend": "acceleration.bend",
                 "view_velocity": "acceleration.view_velocity",
-                "is_lattice": "lattices.is_lattice",
+                "links": "connectivity.links",
                 "layer": "lattices.plane",
             },
             {

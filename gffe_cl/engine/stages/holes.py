@@ -24,8 +24,8 @@ _OFFERING = {
 
 
 class HiddenParts(NearestStage):
-    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them. Shows
-    parts that come out from behind static surfaces."""
+    """Decides which disocclusions are a mover's own, hidden in the rendered frame, and continues it into them. Prepares
+    the keys for parts that reappear, which `Projection` shows."""
 
     name = "hidden_parts"
     needs_footprints = True
@@ -61,44 +61,7 @@ class HiddenParts(NearestStage):
             step=("SCAN_BYTES", 1),
             group="SCAN_GROUP",
         ),
-        Kernel(
-            "offer_reappearing",
-            "flat_level0",
-            _OFFERING
-            | {
-                "depth": "rendered.depth",
-                "motion": "rendered.motion",
-                "depth_prev": "previous.depth",
-                "shown_depth": "frame.depth",
-            },
-            {
-                "filled_by": "frame.filled_by",
-                "offered": "hidden_parts.offered",
-            }
-            | _KEYS,
-            step=("SCAN_BYTES", 1),
-            group="SCAN_GROUP",
-        ),
-        Kernel(
-            "fill_reappearing",
-            "walk",
-            {
-                "source_motion": "rendered.motion",
-                "target_position": "prediction.target_position",
-                "color_prev": "previous.color",
-                "offered": "hidden_parts.offered",
-            }
-            | _KEYS,
-            {name: f"frame.{name}" for name in ("color", "depth", "motion")} | {"is_dynamic": "frame.dynamic"},
-            step=("LANES", 1),
-            group="WALK_GROUP",
-        ),
     )
-
-    def __init__(self, board: Board):
-        if not board.options.reappearing:
-            self.kernels = self.kernels[:1]
-        super().__init__(board)
 
     @property
     def reach(self) -> int:
@@ -110,12 +73,7 @@ class HiddenParts(NearestStage):
         return options.hidden_parts and options.motion
 
     def extrapolated(self, step: Step) -> None:
-        reappearing = self.board.options.reappearing
-        self.launch("fill_hidden_parts", step, reappear=reappearing)
-        for offer_pass in self.passes if reappearing else ():
-            self.launch("offer_reappearing", step, **{"pass": offer_pass})
-        if reappearing:
-            self.launch("fill_reappearing", step)
+        self.launch("fill_hidden_parts", step, reappear=self.board.options.reappearing)
 
 
 _CONSTANTS = constants("holes.cl")

@@ -38,7 +38,12 @@ class Connectivity(NearestStage):
         Kernel(
             "find_links",
             "source",
-            {"depth": "rendered.depth", "dynamic_mask": "history.dynamic_mask", "last_stir": "history.last_stir"},
+            {
+                "depth": "rendered.depth",
+                "dynamic_mask": "history.dynamic_mask",
+                "last_stir": "history.last_stir",
+                "lattices": "lattices.lattices",
+            },
             {"links": "connectivity.links"} | _COLLECTING,
             step=("LANES", 1),
         ),
@@ -50,59 +55,6 @@ class Connectivity(NearestStage):
 
     def rendered(self, step: Step) -> None:
         self.launch("find_links", step)
-
-
-class Lattices(Stage):
-    """Finds blocks in which wires and gaps of fences or nets alternate at the pitch of pixels: they move as one layer,
-    in the plane of the wires (not in the paper)."""
-
-    name = "lattices"
-    needs_footprints = True
-    buffers = (
-        BufferSpec(
-            "layer", np.float32, ("x", "y", "inverse depth", "count"), "source_blocks",
-            "mean place and inverse depth of a block's nearest surface, and how many pixels show it", scratch=True,
-        ),
-        BufferSpec(
-            "errors", np.float32, ("two layers", "one layer", "across", "down"), "source_blocks",
-            "what either motion leaves of the frame before, and steps of depth", scratch=True,
-        ),
-        BufferSpec("is_lattice", np.uint8, (), "source_blocks", "1 where the block moves as one layer", "mask"),
-        BufferSpec(
-            "plane", np.float32, ("inverse depth", "along x", "along y", "unused"), "source_blocks",
-            "there, the layer's inverse depth at the block's center, and its slopes per pixel", scratch=True,
-        ),
-    )  # fmt: skip
-    kernels = (
-        Kernel(
-            "weigh_layers",
-            "source_blocks",
-            {
-                "depth": "rendered.depth",
-                "dynamic_mask": "history.dynamic_mask",
-                "color": "rendered.color",
-                "color_prev": "previous.color",
-            },
-            {"layer": "lattices.layer", "errors": "lattices.errors"},
-        ),
-        Kernel(
-            "find_lattices",
-            "source_blocks",
-            {"layer": "lattices.layer", "errors": "lattices.errors"},
-            {"is_lattice": "lattices.is_lattice", "plane": "lattices.plane"},
-        ),
-        Kernel(
-            "link_lattices",
-            "source_blocks",
-            {"is_lattice": "lattices.is_lattice", "links": "connectivity.links"},
-            {"links": "connectivity.links"},
-        ),
-    )
-
-    def rendered(self, step: Step) -> None:
-        """Find them; without the option `lattices` there are none."""
-        for kernel in ("weigh_layers", "find_lattices", "link_lattices") if self.board.options.lattices else ():
-            self.launch(kernel, step)
 
 
 _CONSTANTS = constants("backward_blocks.cl")

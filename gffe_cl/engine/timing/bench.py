@@ -247,12 +247,12 @@ def _timed_pair(pipeline: Pipeline, loop: FrameLoop, turn: Turn, samples: _Sampl
     parts: dict[str, float] = defaultdict(float)
     kernels: dict[str, float] = defaultdict(float)
     commands: dict[str, int] = defaultdict(int)
-    for when, stages in events.items():
+    for stages in events.values():
         for stage, done in stages.items():
             for kernel, event in done:
                 ms = (event.profile.end - event.profile.start) * 1e-6
                 kernels[f"{stage}.{kernel}"] += ms
-                parts[part(stage, when)] += ms
+                parts[part(stage)] += ms
                 commands[group(stage)] += 1
     parts |= {SCN[name]: milliseconds for name, milliseconds in network.items()}
     for taken, into in ((parts, samples.parts), (kernels, samples.kernels)):
@@ -297,11 +297,9 @@ def group(stage: str) -> str:
     return "SCN" if stage in SCN else stage if stage in _APART else "GAE"
 
 
-def part(stage: str, when: str) -> str:
-    """Return the name in tables of a stage's work after `submit` ("rendered") or in `extrapolate` ("extrapolated")."""
-    if stage == "background":
-        return f"background, {'collection' if when == 'rendered' else 'projection'}"
-    return SCN.get(stage, stage)
+def part(stage: str) -> str:
+    """Return the name of a stage's work in tables."""
+    return {"background": "background, collection", "projection": "background, projection", **SCN}.get(stage, stage)
 
 
 def memory(pipeline: Pipeline) -> dict[str, int]:

@@ -73,7 +73,7 @@ _WRITTEN = dict.fromkeys(("links", "levels_state", "keys", "winners"), "connecti
         ({"depth": "rendered.depth"}, _WRITTEN, "declared"),
         ({"depth": "rendered.depth", "mask": "history.dynamic_mask"}, _WRITTEN, "declared"),
         (
-            {"depth": "rendered.depth", "last_stir": "history.last_stir"},
+            {"depth": "rendered.depth", "last_stir": "history.last_stir", "lattices": "lattices.lattices"},
             _WRITTEN | {"dynamic_mask": "history.dynamic_mask"},
             "declared as written",
         ),

@@ -20,7 +20,7 @@ SHARING = (
     "splat",
     "scatter_level",
     "scatter_hidden",
-    "project_levels",
+    "offer_hidden",
     "resolve",
     "fill_hidden_parts",
     "soften",

@@ -367,18 +367,18 @@ def test_outputs_of_the_stages_can_be_kept(device):
     submit(pipeline, scene, cameras, [k / 30 for k in range(5)])
     pipeline.extrapolate(camera(W, H, (0.3, 0, 0)), 4.5 / 30)
     read = {f"{owner.name}.{spec.name}": owner.read(spec.name) for owner, spec in pipeline.named_buffers()}
-    stages = ("warp", "hidden_parts", "background", "holes")
+    stages = ("warp", "hidden_parts", "projection", "holes")
     expected = {f"{s}.{n}" for s in stages for n in ("color", "depth", "motion", "filled_by")}
-    expected |= {"silhouettes.color", "warp.dynamic", "hidden_parts.dynamic"}
+    expected |= {"silhouettes.color", "warp.dynamic", "projection.dynamic"}
     expected -= {"holes.filled_by"}  # labeled so by the warp
     assert {f"{stage}.{spec.name}" for stage, spec in pipeline.outputs()} == expected <= set(read)
     assert set(np.unique(read["warp.filled_by"])) == {0, 254, 255}
-    assert set(np.unique(read["background.filled_by"])) >= {1, 255}
+    assert set(np.unique(read["projection.filled_by"])) >= {1, 255}
     for name in ("color", "depth", "motion", "filled_by"):
-        last = {"filled_by": "background", "color": "silhouettes"}.get(name, "holes")
+        last = {"filled_by": "projection", "color": "silhouettes"}.get(name, "holes")
         assert read[f"{last}.{name}"].tobytes() == read[f"frame.{name}"].tobytes()
-        changed = (read[f"warp.{name}"] != read[f"background.{name}"]).reshape(H, W, -1).any(-1)
+        changed = (read[f"warp.{name}"] != read[f"projection.{name}"]).reshape(H, W, -1).any(-1)
         assert changed.any() and (read["warp.filled_by"] == 255)[changed].all()
-    pipeline.keep(["background.depth", "frame.color"])
+    pipeline.keep(["projection.depth", "frame.color"])
     names = {f"{owner.name}.{spec.name}" for owner, spec in pipeline.named_buffers()}
-    assert names & expected == {"background.depth"}
+    assert names & expected == {"projection.depth"}

@@ -131,7 +131,7 @@ static int step_of(const gffe *g, int step) { return step == GFFE_LANES ? g->lan
 static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_block *block) {
     const gffe_kernel *kernel = &gffe_kernels[operation->kernel];
     const gffe_argument *argument = g->plan->arguments + operation->first;
-    size_t size[3], group[3] = {1, 1, 1};
+    size_t size[3], below[2], group[3] = {1, 1, 1};
     cl_uint count = 0, k;
     cl_int error = clGetKernelInfo(g->kernels[operation->kernel], CL_KERNEL_NUM_ARGS, sizeof count, &count, NULL);
     for (k = 0; k < count && error == CL_SUCCESS; ++k, ++argument) {
@@ -153,7 +153,12 @@ static cl_int launch(gffe *g, const gffe_operation *operation, const gffe_frame_
     group[1] = kernel->group ? (size_t)kernel->group_rows : g->lanes > 1 ? 1 : (size_t)TILE_HEIGHT;
     size[0] = (size[0] + (size_t)step_of(g, kernel->step_x) - 1) / (size_t)step_of(g, kernel->step_x);
     size[1] = (size[1] + (size_t)step_of(g, kernel->step_y) - 1) / (size_t)step_of(g, kernel->step_y);
-    for (k = 0; k < 2; ++k) size[k] = (size[k] + group[k] - 1) / group[k] * group[k];
+    size[0] = (size[0] + group[0] - 1) / group[0] * group[0];
+    if (kernel->below >= 0) {
+        gffe_grid_size(&g->step, kernel->below, below);
+        size[1] += (below[0] * below[1] + size[0] - 1) / size[0];
+    }
+    size[1] = (size[1] + group[1] - 1) / group[1] * group[1];
     size[2] = (size_t)operation->repeats;
     return clEnqueueNDRangeKernel(g->queue, g->kernels[operation->kernel], 3, NULL, size, group, 0, NULL, NULL);
 }

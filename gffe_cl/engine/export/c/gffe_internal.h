@@ -77,6 +77,7 @@ typedef struct gffe_kernel {
     int step_x, step_y; /* pixels per work-item */
     int group;          /* work-items, in a row; 0: as suits the device */
     int group_rows;     /* rows of them in a work-group */
+    int below;          /* a grid of which more rows below have a work-item per texel; -1 */
 } gffe_kernel;
 
 typedef struct gffe_buffer {

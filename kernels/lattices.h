@@ -1,8 +1,7 @@
-/* Lattices: fences of wire, nets and grids whose wires and gaps alternate at the pitch of pixels. Depth tells a wire
-   from what is behind by one sample per pixel, and splatting both apart shreds what antialiased colors show as one
-   pattern. So a block moves as one layer, in the plane of its wires, if depth steps often in both directions, what is
-   nearest around lies in a plane, nothing moves by itself, and that layer's motion explains the frame better from the
-   one before than the motion of each pixel does. */
+/* Lattices: fences of wire, nets and grids whose wires and gaps alternate at the pitch of pixels. Splatting both apart
+   shreds what antialiased colors show as one pattern. So a block moves as one layer, in the plane of its wires, if
+   depth steps often in both directions, what is nearest around lies in a plane, nothing moves by itself, and that
+   layer's motion explains the frame better from the one before than the motion of each pixel does. */
 
 #include "frame.h"
 #include "blocks.h"
@@ -42,7 +41,7 @@ INLINE float code_luma(__global const half *color, const int px, const float off
 
 /* The squared difference of a pixel's brightness to that in the frame before where a static surface of depth z was;
    negative where that was out of the image. */
-INLINE float unexplained(const int x, const int y, const float z, const float luma, __constant Frame *frame,
+INLINE float unexplained(const int x, const int y, const float z, const float luma, const Frame *frame,
                          __global const half *color_prev) {
     const float3 before = reproject(pixel_center(x, y), z, frame->to_previous);
     if (!lands(before, frame->source_width, frame->source_height)) return -1.0f;
@@ -51,20 +50,18 @@ INLINE float unexplained(const int x, const int y, const float z, const float lu
     return error * error;
 }
 
-/* One work-item per source block. layer: the mean (x, y, inverse depth) of its near pixels, and how many they are; -1
-   where something moves by itself. errors: what remains of the frame before along the motion of each pixel, times the
-   share that one layer may leave, and along that of one layer; then steps of depth across and down. */
-SPARSE __kernel void weigh_layers(__constant Frame *restrict frame, __global const float *depth,
-                                  __global const uchar *dynamic_mask, __global const half *color,
-                                  __global const half *color_prev, __global float4 *layer, __global float4 *errors) {
-    const int width = frame->source_width, height = frame->source_height;
-    const int bx = get_global_id(0), by = get_global_id(1), block = by * block_columns(width) + bx;
-    if (bx >= block_columns(width) || by >= block_rows(height)) return;
-    const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
+/* Weighs block number `block`, if there are so many. layer: the mean (x, y, inverse depth) of its near pixels, and how
+   many they are. errors: what remains of the frame before along the motion of each pixel, times the share that one
+   layer may leave, and along that of one layer; then steps of depth across and down. */
+INLINE void weigh_layers(const int block, const Frame *frame, __global const float *depth, __global const half *color,
+                         __global const half *color_prev, __global float4 *layer, __global float4 *errors) {
+    const int width = frame->source_width, height = frame->source_height, columns = block_columns(width);
+    if (block >= columns * block_rows(height)) return;
+    const int x0 = block % columns * BLOCK_WIDTH, y0 = block / columns * BLOCK_HEIGHT;
     float across = 0.0f, down = 0.0f;
     const bool whole = x0 >= LOOKED_AROUND && y0 >= LOOKED_AROUND && x0 + BLOCK_WIDTH + LOOKED_AROUND <= width
                        && y0 + BLOCK_HEIGHT + LOOKED_AROUND <= height;
-    if (whole && frame->has_previous && !frame->rests) {
+    if (whole && !frame->rests) {
         float8 above = row_of(depth + (y0 - 1) * width + x0);
         for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
             const float8 row = row_of(depth + y * width + x0);
@@ -78,15 +75,9 @@ SPARSE __kernel void weigh_layers(__constant Frame *restrict frame, __global con
     if (!(across + down >= FEWEST_STEPS)) return;
 
     float8 nearest = (float8)(INFINITY);
-    uchar8 moves = (uchar8)(0);
     for (int y = y0 - LOOKED_AROUND; y < y0 + BLOCK_HEIGHT + LOOKED_AROUND; ++y) {
         __global const float *row = depth + y * width + x0;
         nearest = fmin(nearest, fmin(row_of(row - LOOKED_AROUND), row_of(row + LOOKED_AROUND)));
-    }
-    for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) moves |= vload8(0, dynamic_mask + y * width + x0);
-    if (as_ulong(moves)) {
-        layer[block] = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
-        return;
     }
     const float4 of_four = fmin(nearest.lo, nearest.hi);
     const float z_near = fmin(fmin(of_four.x, of_four.y), fmin(of_four.z, of_four.w));
@@ -117,22 +108,23 @@ INLINE float4 part_of(__global const float4 *layer, const int columns, const int
 }
 
 /* The plane through the near pixels of 3x3 blocks around the one at `layer`: inverse depth at `center`, and its slopes;
-   0 where they lie in none, or something there moves by itself. */
+   0 where they lie in none. */
 INLINE float3 plane_of(__global const float4 *layer, const int columns, const float2 center) {
     const float3 none = (float3)(0.0f);
     const float per_own = divide(1.0f, layer[0].z);
     float3 sum = none;
     float count = 0.0f;
     int blocks = 0;
+#pragma unroll 1
     for (int k = 0; k < 9; ++k) {
         const float4 part = part_of(layer, columns, k, center, per_own);
-        if (part.w < 0.0f) return none;
         sum += part.w * part.xyz;
         count += part.w;
         blocks += part.w > 0.0f;
     }
     const float3 mean = mean_of(sum, count);
     float3 by_x = none, by_y = none; /* sums of the products with x, and with y */
+#pragma unroll 1
     for (int k = 0; k < 9; ++k) {
         const float4 part = part_of(layer, columns, k, center, per_own);
         const float3 off = part.xyz - mean;
@@ -143,6 +135,7 @@ INLINE float3 plane_of(__global const float4 *layer, const int columns, const fl
     if (blocks < LEAST_BLOCKS || !(det > count * count)) return none;
     const float along = divide(by_x.z * by_y.y - by_y.z * by_x.y, det),
                 down = divide(by_y.z * by_x.x - by_x.z * by_y.x, det);
+#pragma unroll 1
     for (int k = 0; k < 9; ++k) {
         const float4 part = part_of(layer, columns, k, center, per_own);
         const float3 off = part.xyz - mean;
@@ -153,17 +146,16 @@ INLINE float3 plane_of(__global const float4 *layer, const int columns, const fl
     return is_before ? layer[0].z * (float3)(at_center, along, down) : none;
 }
 
-/* One work-item per source block. is_lattice: 1 where it moves as one layer; plane: that layer's inverse depth at the
-   block's center, and its slopes per pixel. */
-SPARSE __kernel void find_lattices(__constant Frame *restrict frame, __global const float4 *layer,
-                                   __global const float4 *errors, __global uchar *is_lattice, __global float4 *plane) {
-    const int columns = block_columns(frame->source_width), rows = block_rows(frame->source_height);
-    const int bx = get_global_id(0), by = get_global_id(1), block = by * columns + bx;
-    if (bx >= columns || by >= rows) return;
-    is_lattice[block] = 0;
-    if (!(layer[block].w > 0.0f) || bx == 0 || by == 0 || bx == columns - 1 || by == rows - 1) return;
+/* Whether a block is part of a lattice if nothing moves in it: then *plane is its layer's inverse depth at the block's
+   center, and its slopes per pixel. Those at the image's border are not. */
+INLINE bool is_lattice(const int block, const int columns, const int rows, __global const float4 *layer,
+                       __global const float4 *errors, float3 *plane) {
+    if (!(layer[block].w > 0.0f)) return false;
+    const int bx = block % columns, by = block / columns;
+    if (bx < 1 || by < 1 || bx >= columns - 1 || by >= rows - 1) return false;
     float apart = 0.0f, together = 0.0f;
     float2 steps = (float2)(0.0f);
+#pragma unroll 1
     for (int y = max(by - WIDER, 0); y <= min(by + WIDER, rows - 1); ++y)
         for (int x = max(bx - WIDER, 0); x <= min(bx + WIDER, columns - 1); ++x) {
             const float4 there = errors[y * columns + x];
@@ -171,33 +163,26 @@ SPARSE __kernel void find_lattices(__constant Frame *restrict frame, __global co
             together += there.y;
             if (abs(x - bx) <= 1 && abs(y - by) <= 1) steps += there.zw;
         }
-    if (!(together < apart && steps.x >= LEAST_STEPS && steps.y >= LEAST_STEPS)) return;
+    if (!(together < apart && steps.x >= LEAST_STEPS && steps.y >= LEAST_STEPS)) return false;
     const float2 center = ((float2)((float)bx, (float)by) + 0.5f) * (float2)((float)BLOCK_WIDTH, (float)BLOCK_HEIGHT);
-    const float3 found = plane_of(layer + block, columns, center);
-    if (!(found.x > 0.0f)) return;
-    is_lattice[block] = 1;
-    plane[block] = (float4)(found, 0.0f);
+    *plane = plane_of(layer + block, columns, center);
+    return plane->x > 0.0f;
 }
 
-/* Links pixels of lattices with each other, and with no others. One work-item per source block. */
-SPARSE __kernel void link_lattices(__constant Frame *restrict frame, __global const uchar *is_lattice,
-                                   __global uchar *links) {
-    const int width = frame->source_width, columns = block_columns(width), rows = block_rows(frame->source_height);
-    const int bx = get_global_id(0), by = get_global_id(1), block = by * columns + bx;
-    if (bx >= columns || by >= rows) return;
-    const uchar own = is_lattice[block];
-    const int left = bx > 0 ? is_lattice[block - 1] : 0, right = bx < columns - 1 ? is_lattice[block + 1] : 0,
-              up = by > 0 ? is_lattice[block - columns] : 0, down = by < rows - 1 ? is_lattice[block + columns] : 0;
-    if (!(own | left | right | up | down)) return;
-    const int x0 = bx * BLOCK_WIDTH, y0 = by * BLOCK_HEIGHT;
-    for (int y = y0; y < min(y0 + BLOCK_HEIGHT, frame->source_height); ++y)
-        for (int x = x0; x < min(x0 + BLOCK_WIDTH, width); ++x) {
-            const int of_lattices = (x == x0 && !left ? 0 : LINK_LEFT) | (y == y0 && !up ? 0 : LINK_UP)
-                                    | (x == x0 + BLOCK_WIDTH - 1 && !right ? 0 : LINK_RIGHT)
-                                    | (y == y0 + BLOCK_HEIGHT - 1 && !down ? 0 : LINK_DOWN);
-            const int to_others = (x == x0 && left ? 0 : LINK_LEFT) | (y == y0 && up ? 0 : LINK_UP)
-                                  | (x == x0 + BLOCK_WIDTH - 1 && right ? 0 : LINK_RIGHT)
-                                  | (y == y0 + BLOCK_HEIGHT - 1 && down ? 0 : LINK_DOWN);
-            links[y * width + x] = own ? IN_LATTICE | of_lattices : links[y * width + x] & to_others;
-        }
+/* Finds which of block number `block`, if there are so many, and those beside it are part of lattices, as bits of
+   `links`. */
+INLINE void find_lattices(const int block, __constant Frame *frame, __global const float4 *layer,
+                          __global const float4 *errors, __global uchar *lattices, __global float4 *plane) {
+    const int columns = block_columns(frame->source_width), rows = block_rows(frame->source_height);
+    if (block >= columns * rows) return;
+    uchar found = 0;
+#pragma unroll 1
+    for (int k = 0; k < 5; ++k) { /* beyond the border are blocks that are at the border, too */
+        const int beside = block + (k == 0) - (k == 2) + ((k == 1) - (k == 3)) * columns;
+        float3 own;
+        if (!is_lattice(clamp(beside, 0, columns * rows - 1), columns, rows, layer, errors, &own)) continue;
+        found |= LINK_RIGHT << k;
+        if (k == 4) plane[block] = (float4)(own, 0.0f);
+    }
+    lattices[block] = found;
 }
