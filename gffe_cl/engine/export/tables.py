@@ -156,7 +156,9 @@ class Tables:
             return str(value)
 
         sides = ", ".join(map(number, (*kernel.step, kernel.group or 0, kernel.group_rows)))
-        below = number_in(self.grids, kernel.below) if kernel.below else -1
+        if kernel.below and kernel.below not in self.grids:
+            self.grids.append(kernel.below)
+        below = self.grids.index(kernel.below) if kernel.below else -1
         return f'{self.programs.index(launched[0])}, "{kernel.name}", {sides}, {below}'
 
     # ---- plans -----------------------------------------------------------------------------------------
@@ -215,13 +217,6 @@ class Tables:
         return (len(self.constants) - len(content)) // 4
 
 
-def number_in(grids: list[str], name: str) -> int:
-    """Return a grid's number. It is appended if it is not there yet."""
-    if name not in grids:
-        grids.append(name)
-    return grids.index(name)
-
-
 def _layout(name: str) -> str:
     """Return the row of a grid, whose size gffe_values.c computes."""
     layout = grid_of(name).layout
@@ -253,7 +248,9 @@ class _Buffers:
 
     def grid(self, name: str) -> int:
         """Return a grid's number. It is appended if it is not there yet."""
-        return number_in(self.grids, name)
+        if name not in self.grids:
+            self.grids.append(name)
+        return self.grids.index(name)
 
     def row(self, name: str) -> str:
         """Return the buffer's row of the C table."""
