@@ -137,7 +137,7 @@ GAE: dict[str, Change] = {
 }
 # Beyond the paper, each a module with an option of its own.
 PARTS = ("silhouettes stay antialiased", "hidden parts of movers", "movers' acceleration goes on")
-CARRIED = Change(constants={"acceleration.cl": {"IN_VIEW": "0.0f", "KEEPS_UP": "0.0f"}})
+CARRIED = Change(constants={"acceleration.h": {"IN_VIEW": "0.0f", "KEEPS_UP": "0.0f"}})
 CAMERA_FIXED = Change({"camera_fixed": False})  # worth something only on "cab" and "wipers"
 PAPER = CAMERA_FIXED
 for change in GAE.values():

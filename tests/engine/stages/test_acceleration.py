@@ -1,4 +1,4 @@
-"""Movers whose speed changes: what the acceleration of `acceleration.cl` is worth, and that it harms none."""
+"""Movers whose speed changes: what the acceleration of `acceleration.h` is worth, and that it harms none."""
 
 import numpy as np
 import pytest
