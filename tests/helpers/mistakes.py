@@ -140,6 +140,10 @@ def color_twice(frames):
     return [replace(f, color=frames[k - (k == 3)].color) for k, f in enumerate(frames)]
 
 
+def flipped_once(frames):
+    return [replace(f, motion=f.motion * np.float32((-1, 1))) if k == 4 else f for k, f in enumerate(frames)]
+
+
 def cut(frames):
     """Return frames of which the later ones show another place: the picture and its camera are turned round."""
     made = []
@@ -206,6 +210,7 @@ MISTAKES = {
     "display values": Mistake(srgb, ("color-encoding",), None),
     "color rows": Mistake(broken_by("color rows"), ("color-rows",), None),
     "jitter": Mistake(broken_by("motion jitter not removed"), ("jitter",), None),
+    "x of one frame": Mistake(flipped_once, ("flipped-frame",), None),
     "frame dropped": Mistake(GAPS["frame dropped"], ("gap",), None),
     "recorded twice": Mistake(recorded_twice, ("repeated-frames",), None),
     "at half the rate": Mistake(rendered_at_half_the_rate, ("repeated-frames",), None),

@@ -415,6 +415,15 @@ class Gap(AtFrame):
 
 
 @dataclass(frozen=True)
+class FlippedInOneFrame(AtFrame):
+    """The vectors of frame `frame` fit with one component negated, or both: `axes`."""
+
+    name, about = "flipped-frame", "motion"
+    sentence = "the vectors of frame {0.frame} ({0.file}) fit with {0.axes} negated, unlike those of the other frames"
+    axes: str
+
+
+@dataclass(frozen=True)
 class OffInOneFrame(AtFrame):
     """Depth and cameras of frame `frame` do not fit, while colors follow its vectors."""
 

@@ -12,6 +12,7 @@ import numpy as np
 from gffe_cl.captures.doctor.findings import (
     Cut,
     Finding,
+    FlippedInOneFrame,
     Gap,
     MisfitAtEnd,
     NeedlessResets,
@@ -200,7 +201,8 @@ def breaks(
         elif follows[0] and not follows[1]:
             found.append(OffInOneFrame(k, file))
         elif follows[1] and moving:
-            found.append(Gap(k, file))
+            axes = _flipped(shown[k], reading, step, _FITTING * usual)
+            found.append(FlippedInOneFrame(k, file, axes) if axes else Gap(k, file))
         else:
             found.append(Cut(k, file))
     return found
@@ -218,6 +220,15 @@ def _share(look: Look, reading: Reading, step: float) -> float:
     off = np.linalg.norm(bench.static(reading.cameras, reading.depth) - motion, axis=-1)[use]
     scale = np.median(np.linalg.norm(motion[use], axis=-1))
     return float((off <= max(_AGREES * scale, _FINEST, step)).mean())
+
+
+def _flipped(look: Look, reading: Reading, step: float, least: float) -> str:
+    """Return the components of motion, x, y or both, with whose signs changed at least so many samples agree; empty
+    without any."""
+    signs = {"y": (1, -1), "x": (-1, 1), "x and y": (-1, -1)}
+    shares = {axes: _share(replace(look, motion=look.motion * by), reading, step) for axes, by in signs.items()}
+    best = max(shares, key=lambda axes: shares[axes])
+    return best if shares[best] > least else ""
 
 
 def _upside_down(look: Look) -> Look:
