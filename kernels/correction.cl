@@ -25,6 +25,7 @@
 #define DISTRUST 4.0f /* ... nothing from three quarters on */
 #define DOUBT 0.1f /* the focus mask is 2 p - DOUBT */
 #define FOLLOWED_SHARE 0.5f /* of a color that follows the flow; docs/deviations.md, "What the image flow explains" */
+#define FOLLOWED_MARGIN 4.0f /* largest change by it, times the last one at half resolution */
 #define FOLLOWED_ROWS 4 /* of a work-item: those of a pixel of a quarter of the resolution */
 
 /* Bits of `asked`: whether the image is unchanged where the mask is 0, and whether `refined` is requested. */
@@ -100,17 +101,20 @@ INLINE Floats load_detail(__global const float *planes, const int plane, const i
     return load_in_turns(row, row + plane, x);
 }
 
-/* The difference between `now`, moved from a place along the flow, and the color here, within CHANGE_MARGIN times the
-   change from the previous frame to it here and there: texture is in both frames, so none of it moves along where light
-   stays. */
-INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
-                          const Floats before, const SampleRuns *along) {
-    const Floats there = sampled_by_runs(frame_now, along), moved = there - now;
-    const Floats changed = CHANGE_MARGIN * (now - before),
-                 changed_there = CHANGE_MARGIN * (there - sampled_by_runs(frame_before, along));
+/* The difference `moved` between colors along the flow, within `margin` times what has changed since the previous frame
+   here and there: texture is in both frames, so none of it moves along where light stays. */
+INLINE Floats within_changes(const Floats moved, const Floats since, const Floats since_there, const float margin) {
+    const Floats changed = margin * since, changed_there = margin * since_there;
     const Floats least = wide_lesser(wide_lesser(changed, changed_there), (Floats)(0.0f));
     const Floats most = wide_greater(wide_greater(changed, changed_there), (Floats)(0.0f));
     return within_limits(moved, least, most);
+}
+
+/* The difference between `now`, moved from a place along the flow, and the color here, within what changes. */
+INLINE Floats moved_light(__global const float *frame_now, __global const float *frame_before, const Floats now,
+                          const Floats before, const SampleRuns *along) {
+    const Floats there = sampled_by_runs(frame_now, along);
+    return within_changes(there - now, now - before, there - sampled_by_runs(frame_before, along), CHANGE_MARGIN);
 }
 
 /* Whether the focus mask is trusted anywhere in the 3x3 pixels around, of width by height, of half the size: elsewhere
@@ -261,30 +265,49 @@ INLINE void find_shrunk(const int x, const int y, const float shrunk, const int 
     find_sample(scale * row_indices(x) + offset, (Floats)(scale * (float)y + offset), width, height, s);
 }
 
-/* Moves the final image half way to the extrapolated color along the flow, where that is followed. */
+/* The change of a channel's encoded color since the previous frame. */
+INLINE Floats change_since(__global const float *frames, const int plane, const Sample *s) {
+    return sampled(frames, s) - sampled(frames + 3 * plane, s);
+}
+
+/* Moves the final image half way to the extrapolated color along the flow, where that is followed, as far as color
+   changes. */
 WIDE __kernel void follow_flow(__constant Frame *restrict frame, __global const half *extrapolated,
-                               __global const float *flow, __global const float *followed, __global half *color) {
+                               __global const float *frames, __global const float *flow, __global const float *followed,
+                               __global half *color) {
     const int target_width = frame->target_width, target_height = frame->target_height;
-    const int width = frame->network_width / 2, height = frame->network_height / 2;
+    const int fine = frame->network_width, fine_height = frame->network_height, plane = fine * fine_height;
+    const int width = fine / 2, height = fine_height / 2;
+    const float4 law = frame->color_law;
     const int x = get_global_id(0) * LANES, first = get_global_id(1) * FOLLOWED_ROWS, count = target_width - x;
     if (x >= target_width || first >= target_height || !is_followed(followed, width, height, x, first)) return;
     for (int y = first; y < min(first + FOLLOWED_ROWS, target_height); ++y) {
-        Sample near, coarse, there;
+        Sample near, coarse, there, low, low_there;
         find_shrunk(x, y, 4.0f, width, height, &near);
         const Floats share = FOLLOWED_SHARE * sampled(followed, &near);
         find_shrunk(x, y, 8.0f, width / 2, height / 2, &coarse);
         const float pixels = 4.0f * frame->alpha; /* of the display, until t + alpha */
-        find_sample(row_indices(x) + pixels * sampled(flow, &coarse),
-                    (float)y + pixels * sampled(flow + width * height / 4, &coarse), target_width, target_height,
-                    &there);
+        const Floats from_x = row_indices(x) + pixels * sampled(flow, &coarse),
+                     from_y = (float)y + pixels * sampled(flow + width * height / 4, &coarse);
+        find_sample(from_x, from_y, target_width, target_height, &there);
+        find_shrunk(x, y, 2.0f, fine, fine_height, &low);
+        find_sample(0.5f * from_x - 0.25f, 0.5f * from_y - 0.25f, fine, fine_height, &low_there);
         const Ints below = there.tap + there.down;
         const Wide4 a = gather_channels(extrapolated, there.tap),
                     b = gather_channels(extrapolated, there.tap + there.right),
                     c = gather_channels(extrapolated, below), d = gather_channels(extrapolated, below + there.right);
-        Wide4 moved = a;
+        const int i = 4 * (y * target_width + x);
+        Wide4 moved = finite_rgb(load_some_channels(count, extrapolated + i));
+        __global const float *channel = frames;
 #pragma unroll
-        for (int k = 0; k < 3; ++k) moved.c[k] = finite(between_taps(a.c[k], b.c[k], c.c[k], d.c[k], &there));
-        __global half *out = color + 4 * (y * target_width + x);
+        for (int k = 0; k < 3; ++k, channel += plane) {
+            const Floats now = encode(moved.c[k], law),
+                         from = encode(finite(between_taps(a.c[k], b.c[k], c.c[k], d.c[k], &there)), law);
+            const Floats since = change_since(channel, plane, &low),
+                         since_there = change_since(channel, plane, &low_there);
+            moved.c[k] = decode(now + within_changes(from - now, since, since_there, FOLLOWED_MARGIN), law);
+        }
+        __global half *out = color + i;
         Wide4 now = finite_rgb(load_some_channels(count, out));
         mix_in(moved, share, &now);
         store_where(share > 0.0f, now, count, out, out);

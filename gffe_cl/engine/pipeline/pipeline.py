@@ -335,9 +335,10 @@ class Pipeline(Unique):
         wait_for: Iterable[cl.Event | int] = (),
     ) -> ExtrapolatedFrame:
         """Make the frame at `time` (seconds; default: half an interval ahead) seen by `camera` (default: the predicted
-        camera), and return it. The call returns at once, unless onnxruntime runs the shading correction network: then
-        it waits for the network. Reading a buffer waits. With the time of the rendered frame itself and a newer camera
-        it is a late warp (α = 0). It overwrites the last frame made: `wait_for` its readers on other queues.
+        camera), and return it. Live programs pass their newest camera, read just before. The call returns at once,
+        unless onnxruntime runs the shading correction network: then it waits for the network. Reading a buffer waits.
+        With the time of the rendered frame itself and a newer camera it is a late warp (α = 0). It overwrites the last
+        frame made: `wait_for` its readers on other queues.
 
         Warns if the time is more than 16 intervals after the last rendered frame's: mostly it is of another clock or
         unit.

@@ -40,7 +40,7 @@ class ShadingCorrection(Stage):
     (g − U(L))), final = GAE · (1 − U(M)) + refined · U(M) in linear color. M is less, down to 0, where the last
     interval's change of brightness is not that of the interval before. Of detail, at least the share stays that is
     `texture` (`ShadingFlow`). Where the image follows the flow (`followed` there), the final image is half of that, and
-    half the GAE frame moved along the flow (`follow_flow`).
+    half the GAE frame moved along the flow (`follow_flow`), by at most four times the change since t − 1.
 
     `unusable_pixels`: number of pixels of all frames so far where the network gave NaN or infinity; they keep the GAE
     color. `with_refined`: whether `refined` is made too, from the next frame on.
@@ -123,6 +123,7 @@ class ShadingCorrection(Stage):
             "target",
             {
                 "extrapolated": "frame.color",
+                "frames": "network_input.frames",
                 "flow": "shading_flow.flow2",
                 "followed": "shading_flow.followed",
                 "color": "correction.color",

@@ -25,3 +25,20 @@ def test_what_is_not_in_focus_stays_whatever_the_network_says(device, size, with
     assert got[focus == 0].tobytes() == color[focus == 0].tobytes() and np.isfinite(got).all()
     if min(size) > 30:
         assert 0.1 < (focus == 0).mean() < 0.9 and (focus == 1).any()
+
+
+def test_only_changes_of_light_move_along_the_flow(device):
+    """Texture that both frames show stays where it is; where light grew, what is brighter comes half way, by 2 px."""
+    board, correction, step = made_stages(device, (64, 48))
+    color = np.random.default_rng(0).uniform(0.1, 0.9, (48, 64, 4)).astype(np.float16)
+    inputs, flow = board.stages["network_input"], board.stages["shading_flow"]
+    frames = np.full(inputs.spec("frames").shape(board.sizes), 0.5, np.float32)
+    put(board.frame, color=color)
+    put(flow, **{name: np.ones(flow.spec(name).shape(board.sizes), np.float32) for name in ("flow2", "followed")})
+    texture, there = color[..., :3].astype(np.float32), np.roll(color[..., :3], (-2, -2), (0, 1))
+    for growth, expected in ((0.0, texture), (0.5, (texture + np.maximum(texture, there)) / 2)):
+        frames[:3] = 0.5 + growth
+        put(inputs, frames=frames)
+        put(correction, color=color)
+        correction.launch("follow_flow", step)
+        assert np.abs(correction.read("color")[..., :3] - expected)[:46, :62].max() < 1e-3
