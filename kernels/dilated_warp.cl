@@ -12,8 +12,10 @@
 #include "flow.h"
 #include "dilation.h"
 
-/* What set the threshold: docs/deviations.md, "The dilated warp". */
+/* What set the thresholds: docs/deviations.md, "The dilated warp". */
 #define GONE 2.0f /* px: what is shown so far from a pixel is not shown there */
+#define PARTS_BY 1.0f /* px: a pixel beside a mover that moves so much otherwise ... */
+#define LEAST_MIXED 0.125f /* ... is carried along if it has such a share of the nearer surface's color */
 
 /* How far LANES pixels, whose indices are `here`, lie from the pixels `nearest` among the 3x3 around them. */
 INLINE Floats away_from(const Ints nearest, const Ints here, const int width, Floats *down) {
@@ -112,6 +114,39 @@ INLINE float2 place_beside(__constant Frame *frame, __global const Key *keys, __
     return off_outline(from, target_position, is_dynamic, frame->zoom, px, place) - own;
 }
 
+/* `place`, which a nearer surface beside carries to px. If a mover is involved and nothing of the nearer color is mixed
+   into the pixel, which lies with that on its other side: where the surface that px shows behind comes from, the
+   pixel's own or the one that hides it there. */
+INLINE float2 place_behind(const Origin from, __global const half *codes, __global const float *target_position,
+                           __global const uchar *is_dynamic, const float2 per_px, const float2 px, const float2 place) {
+    const int x = (int)place.x, y = (int)place.y, width = from.width, src = y * width + x;
+    if (x < 1 || y < 1 || x >= width - 1 || y >= from.height - 1) return place;
+    int near = src, far = src;
+    float least = NEARER * from.z[src];
+    for (int k = 1; k < 9; ++k) {
+        const int step = TAP_Y(k) * width + TAP_X(k);
+        const float beside = from.z[src + step];
+        if (!(beside > 0.0f && beside < least)) continue;
+        least = beside;
+        near = src + step;
+        far = src - step;
+    }
+    if (!(is_dynamic[near] || is_dynamic[src]) || from.z[far] < NEARER * from.z[src]) return place;
+    const float3 behind = stored_code(codes, far), whole = stored_code(codes, near) - behind,
+                 part = stored_code(codes, src) - behind;
+    if (near == src || dot(part, whole) > LEAST_MIXED * dot(whole, whole)) return place;
+    for (int at = src, k = 0; k < 2; ++k) {
+        const float3 there = position_of(target_position, at, width * from.height);
+        const float2 off = there.xy - px;
+        const float2 moved = pixel_center(at % width, at / width) - (float2)(off.x * per_px.x, off.y * per_px.y);
+        if (!holds(width, from.height, moved)) break;
+        at = (int)moved.y * width + (int)moved.x;
+        if (from.z[at] < NEARER * there.z) continue;
+        return fmax(fabs(moved.x - place.x), fabs(moved.y - place.y)) > PARTS_BY ? moved : place;
+    }
+    return place;
+}
+
 /* LANES pixels of the new frame per work-item. */
 WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global const Key *keys,
                                     __global const uint *winners, __global const half *color,
@@ -138,14 +173,32 @@ WIDE __kernel void resample_dilated(__constant Frame *restrict frame, __global c
     }
     const Floats center_x = row_centers(x);
     const float center_y = (float)y + 0.5f;
-    const Floats px_x = clamp(from_x + center_x * divide(1.0f, frame->zoom.x), 0.5f, (float)width - 0.5f),
-                 px_y = clamp(from_y + center_y * divide(1.0f, frame->zoom.y), 0.5f, (float)height - 0.5f);
+    const float2 per_px = (float2)(divide(1.0f, frame->zoom.x), divide(1.0f, frame->zoom.y));
+    Floats px_x = clamp(from_x + center_x * per_px.x, 0.5f, (float)width - 0.5f),
+           px_y = clamp(from_y + center_y * per_px.y, 0.5f, (float)height - 0.5f);
 
     /* Depth, motion and labels are those of the pixel that holds the place. */
-    const Ints src = to_ints(px_y) * width + to_ints(px_x);
+    Ints src = to_ints(px_y) * width + to_ints(px_x);
     Places places;
     find_places(src, 0, plane, &places);
-    const Floats z = floats_at(target_position + 2 * plane, places);
+    Floats z = floats_at(target_position + 2 * plane, places);
+
+    /* Which something nearer may have carried there. */
+    bool some_carried = false;
+    for (int k = 0; k < min(LANES, count); ++k) {
+        if (!int_of(&reached, k) || !(as_float(depth_bits_of(keys, dst + k)) < NEARER * float_of(&z, k))) continue;
+        const Origin from = {target_position + 2 * plane, width, height, (float2)(0.0f)};
+        const float2 place = place_behind(from, codes, target_position, dynamic_mask, per_px, pixel_center(x + k, y),
+                                          (float2)(float_of(&px_x, k), float_of(&px_y, k)));
+        set_float(&px_x, k, clamp(place.x, 0.5f, (float)width - 0.5f));
+        set_float(&px_y, k, clamp(place.y, 0.5f, (float)height - 0.5f));
+        some_carried = true;
+    }
+    if (some_carried) {
+        src = to_ints(px_y) * width + to_ints(px_x);
+        find_places(src, 0, plane, &places);
+        z = floats_at(target_position + 2 * plane, places);
+    }
     store_some_floats(z > 0.0f ? z : (Floats)(INFINITY), count, out_depth + dst);
     store_some_xy(px_x - center_x, px_y - center_y, count, out_motion + dst);
     store_some_bytes(min(bytes_at(dynamic_mask, places), (Bytes)(DYNAMIC)), count, out_dynamic + dst);

@@ -14,7 +14,7 @@
 /* What set the thresholds: docs/deviations.md, "Silhouettes stay antialiased". */
 #define SAME_LAYER 0.85f     /* least ratio of the depths of fragments of one layer */
 #define ALONG 0.7f           /* px by which fragments of a layer may deviate from its motion */
-#define SHARPER 1.25f        /* steepness of coverage, which interpolation has smoothed */
+#define SHARPER 0.5f        /* by how much coverage is steepened, which interpolation midway between pixels smooths */
 
 INLINE float3 not_negative(const float3 c) { return fmax(c, 0.0f); }
 
@@ -111,7 +111,8 @@ INLINE bool near_layer(const Source s, const Layers l, const float2 px, const fl
         }
     }
     if (!(weight_sum > 0.5f)) return false;
-    const float share = divide(sum.w, weight_sum), coverage = clamp(SHARPER * (share - 0.5f) + 0.5f, 0.0f, 1.0f);
+    const float steep = 1.0f + SHARPER * (1.0f - fabs(2.0f * u - 1.0f) * fabs(2.0f * v - 1.0f));
+    const float coverage = clamp(steep * (divide(sum.w, weight_sum) - 0.5f) + 0.5f, 0.0f, 1.0f);
     *near = (float4)(sum.xyz * (coverage > 0.0f ? divide(coverage, sum.w) : 0.0f), coverage);
     return true;
 }

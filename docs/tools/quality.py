@@ -14,7 +14,8 @@ figures are cached. The exit code is 1 where the mean of a group falls by more t
 
 PSNR is that of a sequence's mean squared error of display values; SSIM is the mean over its frames. Detail is the
 energy of fine detail of new frames over that of the truth, both against the rendered frames around them, which cancel
-out: the mean square of the difference between a pixel's luma and the mean over itself and its four neighbors.
+out: the mean square of the difference between a pixel's luma and the mean over itself and its four neighbors. Of the
+truth's, the share that is right (the squared correlation) is what frames of the least error have: more costs PSNR.
 """
 
 from __future__ import annotations
@@ -46,7 +47,7 @@ from gffe_cl.lab.metrics import LUMA, METRICS, REGIONS, RegionErrors, decibels, 
 
 VARIANTS = tuple(f"α {'½' if alpha == 0.5 else '1'}{end}" for alpha in ALPHAS for end in ("", ", no network"))
 WORSE_GROUP, WORSE_SEQUENCE, CHANGED = 0.01, 0.05, 0.01  # dB
-_VERSION = 1  # of cells
+_VERSION = 2  # of cells
 _SOURCES = "gffe_cl/__init__.py", "gffe_cl/engine", "kernels"
 MOST_CELLS = 20_000  # in the cache, 6 kB each
 _EXTREMES = 5  # sequences named as the best and the worst
@@ -167,8 +168,8 @@ class _Process:
 
 
 def measured(path: Path, made: np.ndarray) -> dict[str, dict]:
-    """Return figures by variant: `psnr` (dB), `ssim`, `detail`, `frames` [PSNR, SSIM], and `regions` [sum of the
-    squared error, pixels]."""
+    """Return figures by variant: `psnr` (dB), `ssim`, `detail`, `right` (of it), `frames` [PSNR, SSIM], and `regions`
+    [sum of the squared error, pixels]."""
     with np.load(path) as stored:
         truths, labels, exposure = stored["truth"], stored["labels"], float(stored["exposure"])
     metrics = METRICS["psnr"], METRICS["ssim"]
@@ -180,23 +181,25 @@ def measured(path: Path, made: np.ndarray) -> dict[str, dict]:
             errors.append(RegionErrors())
             errors[-1].add(shown, truth, masks(labels[moment]), metrics)
             frames.append([round(errors[-1].figure(metric.name, "whole"), 5) for metric in metrics])
-            details.append(detail(shown) / max(detail(truth), 1e-12))
+            fine, true = detail(shown), detail(truth)
+            shows, has = (max(float(np.square(d).mean()), 1e-12) for d in (fine, true))
+            details.append((shows / has, float((fine * true).mean()) ** 2 / (shows * has)))
         whole = RegionErrors.pooled(errors)
         figures[variant] = {
             "psnr": round(whole.figure("psnr", "whole"), 4),
             "ssim": round(whole.figure("ssim", "whole"), 5),
-            "detail": round(float(np.mean(details)), 4),
+            **{name: round(mean([d[k] for d in details]), 4) for k, name in enumerate(("detail", "right"))},
             "frames": frames,
             "regions": {name: [whole.sums["psnr"][name], whole.counts["psnr"][name]] for name in REGIONS},
         }
     return figures
 
 
-def detail(shown: np.ndarray) -> float:
-    """Return the energy of fine detail of display values (H, W, 3)."""
+def detail(shown: np.ndarray) -> np.ndarray:
+    """Return the fine detail of display values (H, W, 3), without the border's pixels."""
     luma = shown @ LUMA
     around = luma[1:-1, 1:-1] + luma[:-2, 1:-1] + luma[2:, 1:-1] + luma[1:-1, :-2] + luma[1:-1, 2:]
-    return float(np.square(luma[1:-1, 1:-1] - around / 5).mean())
+    return luma[1:-1, 1:-1] - around / 5
 
 
 # ---- comparison ---------------------------------------------------------------------------------------------------
@@ -254,9 +257,11 @@ def groups_table(groups: dict[str, list[Change]]) -> str:
             row.append(f"{signed(mean([c.db for c in some]), 3)} {signed(mean([c.ssim for c in some]), 4)}")
         plus, minus = (sum(s * c.db >= CHANGED for v in (0, 2) for c in of[VARIANTS[v]]) for s in (1, -1))
         row.append(f"{plus}, {minus} of {2 * len(of[VARIANTS[0]])}")
-        was, now = (mean([getattr(c, s)["detail"] for c in of[VARIANTS[0]]]) for s in ("before", "after"))
-        rows.append((*row, f"{was:.3f} → {now:.3f}"))
-    return table(("dB, SSIM", "n", *VARIANTS, "gain, lose .01", "detail, α ½"), rows)
+        for key in ("detail", "right"):
+            was, now = (mean([getattr(c, s)[key] for c in of[VARIANTS[0]]]) for s in ("before", "after"))
+            row.append(f"{was:.3f} → {now:.3f}")
+        rows.append(row)
+    return table(("dB, SSIM", "n", *VARIANTS, "gain, lose .01", "detail, α ½", "right"), rows)
 
 
 def extremes(changes: list[Change], sign: int) -> list[str]:

@@ -262,6 +262,13 @@ class Options:
         " them.",
         flag="--no-sharpness",
     )
+    detail: bool = _option(
+        False,
+        "detail",
+        "Fine detail as strong as in rendered frames, at a larger error; off: as soft as makes the error least. Without"
+        " upscaling only.",
+        flag="--detail",
+    )
     crack_closing: bool = _option(
         True,
         "crack closing",

@@ -22,7 +22,7 @@ from gffe_cl.engine.stages.holes import FILLINGS, HiddenParts, HoleFilling
 from gffe_cl.engine.stages.measures import SceneCuts, UserInterface
 from gffe_cl.engine.stages.network import Convolutions, NetworkInput
 from gffe_cl.engine.stages.shading import ShadingFlow, ShadingInputs, ShadingTrend
-from gffe_cl.engine.stages.silhouettes import Silhouettes
+from gffe_cl.engine.stages.silhouettes import Detail, Silhouettes
 from gffe_cl.engine.stages.warp import BackwardBlocks, ColorCode, Connectivity, DilatedWarp, Warp
 from gffe_cl.engine.upscaling.stage import Upscaling
 
@@ -50,6 +50,7 @@ STAGES: tuple[type[Stage], ...] = (
     ShadingFlow,
     Convolutions,
     ShadingCorrection,
+    Detail,
     Upscaling,
 )
 

@@ -1,12 +1,16 @@
-"""Soft silhouettes: edges of movers stay antialiased as in the rendered frame (not in the paper)."""
+"""Soft silhouettes: edges of movers stay antialiased as in the rendered frame; and fine detail (not in the paper)."""
 
 from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import replace
+from typing import ClassVar
 
 import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.base import Kernel, Stage, Step
+from gffe_cl.engine.stages.base import Board, Kernel, Stage, Step
 from gffe_cl.engine.stages.buffers import RGB9E5, RGBA, BufferSpec
 
 _CONSTANTS = constants("layers.h")
@@ -95,3 +99,32 @@ class Silhouettes(Stage):
     def extrapolated(self, step: Step) -> None:
         for kernel in ("soften", "apply_softened"):
             self.launch(kernel, step)
+
+
+class Detail(Stage):
+    """Sharpens what lies between pixels of the rendered frame, so that new frames have its fine detail (not in the
+    paper)."""
+
+    name = "detail"
+    pictures: ClassVar[Mapping[str, str]] = {"extrapolated": "color"}
+    buffers = (BufferSpec("color", np.float16, RGBA, "target", "the final image with finer detail", "color"),)
+    kernels = (
+        Kernel(
+            "sharpen",
+            "target",
+            {"color": "correction.color", "motion": "frame.motion"},
+            {"out_color": "detail.color"},
+        ),
+    )
+
+    def __init__(self, board: Board):
+        if not board.options.corrects_shading:
+            self.kernels = tuple(replace(k, reads=k.reads | {"color": "frame.color"}) for k in self.kernels)
+        super().__init__(board)
+
+    @classmethod
+    def is_wanted(cls, options: Options) -> bool:
+        return options.detail and not options.upscale
+
+    def extrapolated(self, step: Step) -> None:
+        self.launch("sharpen", step)
