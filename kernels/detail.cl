@@ -4,7 +4,7 @@
 #include "frame.h"
 #include "color_code.h"
 
-#define SHARPER_BETWEEN 0.45f /* midway: by so much of the difference from the mean of both neighbors */
+#define SHARPER_BETWEEN 0.5f /* midway: by so much of the difference from the mean of both neighbors */
 
 /* Whole pixels keep their bits; the others stay within the range of the 3x3 colors around. */
 __kernel void sharpen(__constant Frame *restrict frame, __global const half *color, __global const float2 *motion,

@@ -51,7 +51,7 @@ _LITERAL = Options(
 )
 CASES = {
     "default": Recorded(_PIXELS, (61, 37)),
-    "default-larger": Recorded(_PIXELS, (64, 48), (48, 33)),
+    "default-larger": Recorded(replace(_PIXELS, detail=True), (64, 48), (48, 33)),
     "default-smaller": Recorded(_PIXELS, (40, 31), (64, 48)),
     "cubic-larger": Recorded(Options(history=4, order=3, levels=3, blocks=False), (64, 48), (48, 33)),
     "downsample-smaller": Recorded(

@@ -57,7 +57,9 @@ VARIED = replace(
     static_threshold=1.5,
     camera_order=1,
 )
-DEEP = replace(DEFAULT, levels=4, hole_filling="downsample", expected_error=True, hidden_parts=False, blocks=False)
+DEEP = replace(
+    DEFAULT, levels=4, hole_filling="downsample", expected_error=True, detail=True, hidden_parts=False, blocks=False
+)
 UPSCALED = replace(DEFAULT, upscale=2.0)
 _libraries: dict = {}
 
