@@ -119,7 +119,7 @@ class Detail(Stage):
 
     def __init__(self, board: Board):
         if not board.options.corrects_shading:
-            self.kernels = tuple(replace(k, reads=k.reads | {"color": "frame.color"}) for k in self.kernels)
+            self.kernels = tuple(replace(k, reads={**k.reads, "color": "frame.color"}) for k in self.kernels)
         super().__init__(board)
 
     @classmethod
