@@ -225,8 +225,10 @@ def _share(look: Look, reading: Reading, step: float) -> float:
 def _flipped(look: Look, reading: Reading, step: float, least: float) -> str:
     """Return the components of motion, x, y or both, with whose signs changed at least so many samples agree; empty
     without any."""
-    signs = {"y": (1, -1), "x": (-1, 1), "x and y": (-1, -1)}
-    shares = {axes: _share(replace(look, motion=look.motion * by), reading, step) for axes, by in signs.items()}
+    signs, motion = {"y": (1, -1), "x": (-1, 1), "x and y": (-1, -1)}, look.motion
+    if motion is None:
+        return ""
+    shares = {axes: _share(replace(look, motion=motion * by), reading, step) for axes, by in signs.items()}
     best = max(shares, key=lambda axes: shares[axes])
     return best if shares[best] > least else ""
 

@@ -84,7 +84,7 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
         ),
     )
 }
-_BITS = dict.fromkeys((names.LINKS, "lattices.lattices"), ("right", "down", "left", "up", "lattice"))
+_BITS: dict[str, tuple[str, ...]] = dict.fromkeys((names.LINKS, "lattices.lattices"), ("right", "down", "left", "up", "lattice"))
 _LABELS = {
     names.RENDERED_COLOR: "Rendered color",
     names.GAE: "GAE",

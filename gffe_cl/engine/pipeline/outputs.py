@@ -30,10 +30,10 @@ from gffe_cl.engine.upscaling.stage import Upscaling
 STAGES: tuple[type[Stage], ...] = (
     UserInterface,
     SceneCuts,
+    Lattices,
     HistoryTracking,
     Acceleration,
     Connectivity,
-    Lattices,
     PositionPrediction,
     BackwardBlocks,
     ColorCode,

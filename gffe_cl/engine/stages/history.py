@@ -161,8 +161,8 @@ class HistoryTracking(Stage):
 
     def __init__(self, board: Board):
         self.positions = board.facts["positions"] = board.options.history
-        self.weighs = board.facts["lattices"] = board.options.lattices and board.options.warps_footprints
-        if not self.weighs:  # no block is weighed as a layer
+        self.weighs = board.facts["lattices"] = Lattices.name in board.stages
+        if not self.weighs:
             self.kernels = tuple(replace(kernel, below="") for kernel in self.kernels)
         self.detects = board.facts["detects"] = SceneCuts.name in board.stages
         if not self.detects:  # it counts nothing for them
