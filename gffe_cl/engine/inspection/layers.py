@@ -84,7 +84,8 @@ FRAME_BUFFERS: dict[str, BufferSpec] = {
         ),
     )
 }
-_BITS: dict[str, tuple[str, ...]] = dict.fromkeys((names.LINKS, "lattices.lattices"), ("right", "down", "left", "up", "lattice"))
+_LINKED = "right", "down", "left", "up", "lattice"
+_BITS: dict[str, tuple[str, ...]] = {names.LINKS: _LINKED, "lattices.lattices": _LINKED}
 _LABELS = {
     names.RENDERED_COLOR: "Rendered color",
     names.GAE: "GAE",
