@@ -91,7 +91,7 @@ INLINE void find(const Span p, __constant Frame *frame, __global const float *de
     Ints linked = links_of(p, depth, dynamic_mask, ANY(moving != 0));
     if (around) linked = with_lattices(linked, p, around, frame, last_stir);
     store_some_bytes(to_bytes(linked), count, links + i);
-    if (!frame->collects || !frame->has_previous) return;
+    if (!frame->levels || !frame->has_previous) return;
     const Ints settled = (z > 0.0f) & (moving == 0), clean = settled & !(nearest < z * MIXES_IN);
     const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
     store_some_bytes(to_bytes(state), count, to.levels_state + i);

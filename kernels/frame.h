@@ -65,7 +65,6 @@ typedef struct {
     int copies; /* whether blocks at rest may be copied */
     int softens; /* whether silhouettes are made soft */
     int bends; /* whether movers' acceleration continues */
-    int collects; /* whether there is a background */
     int far_side; /* whether holes continue their far side */
     int dilates; /* whether the dilated warp makes the new frame */
     int detects; /* whether samples are counted that tell a cut */

@@ -106,9 +106,9 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_422,
+    "gffe_cl": 38_417,
     "viewer": 12_648,
-    "kernels": 10_686,
+    "kernels": 10_685,
     "tests": 29_149,
     "docs/tools": 4_364,
     "docs/examples": 1_884,

@@ -10,7 +10,6 @@ import numpy as np
 
 from gffe_cl.engine.opencl.program import constants
 from gffe_cl.engine.options import Options
-from gffe_cl.engine.stages.background import Background
 from gffe_cl.engine.stages.base import Board, Kernel, NearestStage, Stage, Step
 from gffe_cl.engine.stages.buffers import BY_HOLE_FILLING, BY_NOTHING, RGBA, BufferSpec
 from gffe_cl.engine.stages.silhouettes import Silhouettes
@@ -48,10 +47,6 @@ class Connectivity(NearestStage):
             step=("LANES", 1),
         ),
     )
-
-    def __init__(self, board: Board):
-        board.facts["collects"] = Background.is_wanted(board.options)
-        super().__init__(board)
 
     def rendered(self, step: Step) -> None:
         self.launch("find_links", step)
