@@ -96,7 +96,7 @@ GAE: dict[str, Change] = {
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={
-            "connectivity.cl": {"if (!frame->collects || !frame->has_previous) return;": ""},
+            "connectivity.cl": {"if (!frame->levels || !frame->has_previous) return;": ""},
             "background.cl": {
                 "!frame->has_previous && texel": "!frame->has_previous && level > 0 && texel",
                 "if (!frame->has_previous) return;": "",

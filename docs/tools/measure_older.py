@@ -19,7 +19,7 @@ from quality_side import camera_of
 import gffe_cl as gffe
 from gffe_cl.captures.scenes import SceneRenderer
 from gffe_cl.lab.metrics import same_surface
-from gffe_cl.lab.table.footage import moving_pixels
+from gffe_cl.lab.table.footage import moving_pixels, pixel_centers
 from gffe_cl.lab.table.methods import sample, taps
 
 MOST_BACK = 8  # frames before t
@@ -29,7 +29,7 @@ TUNED = "bars:0", "railings:0", "balls:0", "rotors:0", "first_person:0"
 def seen_in(frame, image, color, depth):
     """Return an image's surfaces as a frame shows them, (H, W, 3) float32; which taps of a sample do, (4, H, W) bool;
     and where it is on screen, (H, W). `frame` is what `image.motion` and `image.other_position` refer to."""
-    place = np.mgrid[: SIZE[1], : SIZE[0]][::-1].transpose(1, 2, 0) + np.float32(0.5) + image.motion
+    place = pixel_centers(*SIZE[::-1]) + image.motion
     z = np.where(np.isinf(image.depth), np.inf, image.other_position[..., 2])
     inside = (place >= 0).all(-1) & (place < SIZE).all(-1)
     shows = inside & same_surface(taps(depth[frame], place), z)
