@@ -26,26 +26,37 @@ INLINE Ints is_plane(const Floats a2, const Floats a, const Floats b, const Floa
     return (a2 > 0.0f) & (a2 < INFINITY) & (fabs((a2 - a) * b - (a - b) * a2) < SURFACE_CURVATURE * most * a2);
 }
 
-/* Links to the neighbors of the same surface, whose depth is near or, where it is steeper, goes on; if any of them
-   `moves`, to those that are equally static or dynamic. */
-INLINE Ints links_of(const Span p, __global const float *depth, __global const uchar *dynamic_mask, const bool moves) {
-    const Floats z = depth_beside(p, depth, 0, 0);
-    const Ints own = moves ? bytes_beside(p, dynamic_mask, 0, 0) : (Ints)(0);
-    Ints links = 0;
-#pragma unroll
-    for (int k = 0; k < 4; ++k) {
-        const int dx = k == 0 ? 1 : k == 2 ? -1 : 0, dy = k == 1 ? 1 : k == 3 ? -1 : 0;
-        const Floats b = depth_beside(p, depth, dx, dy), most = z > b ? z : b;
-        const Ints steep = (z > 0.0f) & (b > 0.0f) & (most < INFINITY) & !(fabs(z - b) <= SURFACE_STEP * most);
-        Ints linked = (z > 0.0f) & (b > 0.0f) & !steep & ((most < INFINITY) | (z == b));
-        if (ANY(steep))
-            linked |= steep
-                      & (is_plane(depth_beside(p, depth, -dx, -dy), z, b, most)
-                         | is_plane(depth_beside(p, depth, 2 * dx, 2 * dy), b, z, most));
-        if (moves) linked &= bytes_beside(p, dynamic_mask, dx, dy) == own;
-        links |= linked ? (Ints)(LINK_RIGHT << k) : (Ints)(0);
-    }
-    return links;
+/* A row of pixels and those to their left and right: depths, NaN outside of the image, and values of the mask. */
+typedef struct {
+    Floats left, z, right, nearest;
+    Bytes left_mask, mask, right_mask;
+} Row;
+
+INLINE Row row_beside(const Span p, __global const float *depth, __global const uchar *dynamic_mask, const int dy) {
+    Row row = {depth_beside(p, depth, -1, dy),      depth_beside(p, depth, 0, dy),
+               depth_beside(p, depth, 1, dy),       INFINITY,
+               run_beside(p, dynamic_mask, -1, dy), run_beside(p, dynamic_mask, 0, dy),
+               run_beside(p, dynamic_mask, 1, dy)};
+    row.nearest = row.left < row.nearest ? row.left : row.nearest;
+    row.nearest = row.z < row.nearest ? row.z : row.nearest;
+    row.nearest = row.right < row.nearest ? row.right : row.nearest;
+    return row;
+}
+
+INLINE Bytes moving_in(const Row row) { return row.left_mask | row.mask | row.right_mask; }
+
+/* Whether pixels at depth z, dy from these, and those at depth b, (dx, dy) further, are of the same surface, whose
+   depth is near or, where it is steeper, goes on. `behind`: the depth on the other side of z. */
+INLINE Ints are_linked(const Span p, __global const float *depth, const int row, const int dx, const int dy,
+                       const Floats behind, const Floats z, const Floats b) {
+    const Floats most = z > b ? z : b;
+    const Ints both = (z > 0.0f) & (b > 0.0f), near = fabs(z - b) <= SURFACE_STEP * most, finite = most < INFINITY;
+    Ints linked = both & ((near & finite) | (z == b));
+    const Ints steep = both & finite & !near;
+    if (ANY(steep))
+        linked |=
+            steep & (is_plane(behind, z, b, most) | is_plane(depth_beside(p, depth, 2 * dx, row + 2 * dy), b, z, most));
+    return linked;
 }
 
 /* Links with those of lattices: pixels of a lattice are linked with each other, and with no others. `around`: which
@@ -73,45 +84,67 @@ typedef struct {
     __global uint *winners;
 } Collecting;
 
-/* links: which of the four neighbors belong to the same surface and are equally static or dynamic. To `collect`:
-   texels are SHOWN where depth is valid and none of 3x3 pixels is dynamic or nearer, and an EDGE where one is nearer,
-   but none is dynamic. The others are EMPTY, and no fragment is offered to them yet. `around`: of with_lattices. */
-INLINE void find(const Span p, __constant Frame *frame, __global const float *depth, __global const uchar *dynamic_mask,
-                 __global const int *last_stir, const uchar around, __global uchar *links, const Collecting to) {
-    const int i = p.y * p.width + p.x, count = min(LANES, p.width - p.x);
-    const Floats z = depth_beside(p, depth, 0, 0);
-    Floats nearest = z;
-    Ints moving = 0;
-#pragma unroll
-    for (int k = 0; k < 9; ++k) {
-        const Floats beside = depth_beside(p, depth, k % 3 - 1, k / 3 - 1);
-        nearest = beside < nearest ? beside : nearest;
-        moving |= bytes_beside(p, dynamic_mask, k % 3 - 1, k / 3 - 1);
+/* links, of a block's width and height of pixels: which of the four neighbors belong to the same surface and are
+   equally static or dynamic. To `collect`: texels are SHOWN where depth is valid and none of 3x3 pixels is dynamic or
+   nearer, and an EDGE where one is nearer, but none is dynamic. The others are EMPTY, and no fragment is offered to
+   them yet. `around`: of with_lattices. A link is found once for both pixels, of rows that follow one another. */
+INLINE void find(const Span block, __constant Frame *frame, __global const float *depth,
+                 __global const uchar *dynamic_mask, __global const int *last_stir, const uchar around,
+                 __global uchar *links, const Collecting to) {
+    const int count = min(LANES, block.width - block.x), rows = min(BLOCK_HEIGHT, block.height - block.y);
+    Row above = row_beside(block, depth, dynamic_mask, -1), row = row_beside(block, depth, dynamic_mask, 0);
+    Ints up = 0;
+#pragma unroll 1
+    for (int y = 0; y < rows; ++y) {
+        const Row below = row_beside(block, depth, dynamic_mask, y + 1);
+        if (y == 0) up = are_linked(block, depth, 0, 0, -1, below.z, row.z, above.z);
+        Ints down = are_linked(block, depth, y, 0, 1, above.z, row.z, below.z);
+        Ints right = are_linked(block, depth, y, 1, 0, row.left, row.z, row.right);
+        Ints left = are_linked(block, depth, y, -1, 0, row.right, row.z, row.left);
+        const Bytes moving = moving_in(above) | moving_in(row) | moving_in(below);
+        if (ANY_BYTE(moving)) {
+            const Ints own = to_ints(row.mask);
+            up &= to_ints(above.mask) == own;
+            down &= to_ints(below.mask) == own;
+            right &= to_ints(row.right_mask) == own;
+            left &= to_ints(row.left_mask) == own;
+        }
+        Ints linked = (right ? (Ints)(LINK_RIGHT) : (Ints)(0)) | (down ? (Ints)(LINK_DOWN) : (Ints)(0))
+                      | (left ? (Ints)(LINK_LEFT) : (Ints)(0)) | (up ? (Ints)(LINK_UP) : (Ints)(0));
+        Span p = block;
+        p.y += y;
+        if (around) linked = with_lattices(linked, p, around, frame, last_stir);
+        const int i = p.y * p.width + p.x;
+        store_some_bytes(to_bytes(linked), count, links + i);
+        if (frame->levels && frame->has_previous) {
+            Floats nearest = above.nearest < row.nearest ? above.nearest : row.nearest;
+            nearest = below.nearest < nearest ? below.nearest : nearest;
+            const Ints settled = (row.z > 0.0f) & (to_ints(moving) == 0),
+                       clean = settled & !(nearest < row.z * MIXES_IN);
+            const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
+            store_some_bytes(to_bytes(state), count, to.levels_state + i);
+            for (int k = 0; !ALL(settled) && k < count; ++k) forget(to.keys, to.winners, i + k);
+        }
+        above = row;
+        row = below;
+        up = down;
     }
-    Ints linked = links_of(p, depth, dynamic_mask, ANY(moving != 0));
-    if (around) linked = with_lattices(linked, p, around, frame, last_stir);
-    store_some_bytes(to_bytes(linked), count, links + i);
-    if (!frame->levels || !frame->has_previous) return;
-    const Ints settled = (z > 0.0f) & (moving == 0), clean = settled & !(nearest < z * MIXES_IN);
-    const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
-    store_some_bytes(to_bytes(state), count, to.levels_state + i);
-    if (ALL(settled)) return;
-    for (int k = 0; k < count; ++k) forget(to.keys, to.winners, i + k);
 }
 
+/* One work-item per LANES pixels of BLOCK_HEIGHT rows. */
 WIDE __kernel void find_links(__constant Frame *restrict frame, __global const float *depth,
                               __global const uchar *dynamic_mask, __global const int *last_stir,
                               __global const uchar *lattices, __global uchar *links, __global uchar *levels_state,
                               __global Key *keys, __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height;
-    const int x = get_global_id(0) * LANES, y = get_global_id(1);
+    const int x = get_global_id(0) * LANES, y = get_global_id(1) * BLOCK_HEIGHT;
     const Collecting to = {levels_state, keys, winners};
     if (x >= width || y >= height) return;
     const int block = block_of(x, y, width);
     if (links_are_known(block, frame, last_stir)) return;
     const uchar around = frame->lattices && frame->has_previous ? lattices[block] : 0;
     Span p = {x, y, width, height, false};
-    if (x >= REACH && x + LANES + REACH <= width && y >= REACH && y + REACH < height) {
+    if (x >= REACH && x + LANES + REACH <= width && y >= REACH && y + BLOCK_HEIGHT + REACH <= height) {
         p.inner = true;
         find(p, frame, depth, dynamic_mask, last_stir, around, links, to);
     } else {

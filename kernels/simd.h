@@ -20,6 +20,7 @@ typedef uint8 Uints;
 typedef uchar8 Bytes;
 #define ANY(condition) any_of_lanes(condition)
 #define ALL(condition) all_of_lanes(condition)
+#define ANY_BYTE(bytes) (as_ulong(bytes) != 0)
 #define load_floats vload8
 #define load_bytes vload8
 #define load_uints(i, p) vload8(i, p)
@@ -109,6 +110,7 @@ typedef uint Uints;
 typedef uchar Bytes;
 #define ANY(condition) ((condition) != 0)
 #define ALL(condition) ((condition) != 0)
+#define ANY_BYTE(bytes) ((bytes) != 0)
 #define load_floats(i, p) ((p)[i])
 #define load_bytes(i, p) ((p)[i])
 #define load_uints(i, p) ((p)[i])

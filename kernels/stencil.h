@@ -30,9 +30,12 @@ INLINE Floats beside(const Span p, __global const float *plane, const int dx, co
     return p.inner ? load_floats(0, plane + first_beside(p, dx, dy)) : gather_floats(plane, clamped_beside(p, dx, dy));
 }
 
+INLINE Bytes run_beside(const Span p, __global const uchar *plane, const int dx, const int dy) {
+    return p.inner ? load_bytes(0, plane + first_beside(p, dx, dy)) : gather_bytes(plane, clamped_beside(p, dx, dy));
+}
+
 INLINE Ints bytes_beside(const Span p, __global const uchar *plane, const int dx, const int dy) {
-    return to_ints(p.inner ? load_bytes(0, plane + first_beside(p, dx, dy))
-                           : gather_bytes(plane, clamped_beside(p, dx, dy)));
+    return to_ints(run_beside(p, plane, dx, dy));
 }
 
 INLINE Floats xy_beside(const Span p, __global const float2 *plane, const int dx, const int dy, Floats *y) {

@@ -44,7 +44,7 @@ class Connectivity(NearestStage):
                 "lattices": "lattices.lattices",
             },
             {"links": "connectivity.links"} | _COLLECTING,
-            step=("LANES", 1),
+            step=("LANES", "BLOCK_HEIGHT"),
         ),
     )
 
