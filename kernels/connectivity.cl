@@ -29,34 +29,36 @@ INLINE Ints is_plane(const Floats a2, const Floats a, const Floats b, const Floa
 /* A row of pixels and those to their left and right: depths, NaN outside of the image, and values of the mask. */
 typedef struct {
     Floats left, z, right, nearest;
-    Bytes left_mask, mask, right_mask;
+    Bytes left_mask, mask, right_mask, moving;
 } Row;
 
 INLINE Row row_beside(const Span p, __global const float *depth, __global const uchar *dynamic_mask, const int dy) {
-    Row row = {depth_beside(p, depth, -1, dy),      depth_beside(p, depth, 0, dy),
-               depth_beside(p, depth, 1, dy),       INFINITY,
-               run_beside(p, dynamic_mask, -1, dy), run_beside(p, dynamic_mask, 0, dy),
-               run_beside(p, dynamic_mask, 1, dy)};
+    Row row = {.left = depth_beside(p, depth, -1, dy),
+               .z = depth_beside(p, depth, 0, dy),
+               .right = depth_beside(p, depth, 1, dy),
+               .nearest = INFINITY,
+               .left_mask = run_beside(p, dynamic_mask, -1, dy),
+               .mask = run_beside(p, dynamic_mask, 0, dy),
+               .right_mask = run_beside(p, dynamic_mask, 1, dy)};
     row.nearest = row.left < row.nearest ? row.left : row.nearest;
     row.nearest = row.z < row.nearest ? row.z : row.nearest;
     row.nearest = row.right < row.nearest ? row.right : row.nearest;
+    row.moving = row.left_mask | row.mask | row.right_mask;
     return row;
 }
 
-INLINE Bytes moving_in(const Row row) { return row.left_mask | row.mask | row.right_mask; }
-
-/* Whether pixels at depth z, dy from these, and those at depth b, (dx, dy) further, are of the same surface, whose
-   depth is near or, where it is steeper, goes on. `behind`: the depth on the other side of z. */
+/* Whether pixels at depth z, `row` below these, and those at depth b, (dx, dy) further, are of one surface, whose depth
+   is near or, where it is steeper, goes on. `behind`: the depth on the other side of z. */
 INLINE Ints are_linked(const Span p, __global const float *depth, const int row, const int dx, const int dy,
                        const Floats behind, const Floats z, const Floats b) {
     const Floats most = z > b ? z : b;
-    const Ints both = (z > 0.0f) & (b > 0.0f), near = fabs(z - b) <= SURFACE_STEP * most, finite = most < INFINITY;
-    Ints linked = both & ((near & finite) | (z == b));
-    const Ints steep = both & finite & !near;
-    if (ANY(steep))
-        linked |=
-            steep & (is_plane(behind, z, b, most) | is_plane(depth_beside(p, depth, 2 * dx, row + 2 * dy), b, z, most));
-    return linked;
+    const Ints finite = most < INFINITY;
+    const Ints near = (z > 0.0f) & (((fabs(z - b) <= SURFACE_STEP * most) & finite) | (z == b));
+    if (ALL(near)) return near;
+    const Ints steep = (z > 0.0f) & (b > 0.0f) & finite & !near;
+    if (!ANY(steep)) return near;
+    const Floats beyond = depth_beside(p, depth, 2 * dx, row + 2 * dy);
+    return near | (steep & (is_plane(behind, z, b, most) | is_plane(beyond, b, z, most)));
 }
 
 /* Links with those of lattices: pixels of a lattice are linked with each other, and with no others. `around`: which
@@ -92,6 +94,7 @@ INLINE void find(const Span block, __constant Frame *frame, __global const float
                  __global const uchar *dynamic_mask, __global const int *last_stir, const uchar around,
                  __global uchar *links, const Collecting to) {
     const int count = min(LANES, block.width - block.x), rows = min(BLOCK_HEIGHT, block.height - block.y);
+    const bool collects = frame->levels && frame->has_previous;
     Row above = row_beside(block, depth, dynamic_mask, -1), row = row_beside(block, depth, dynamic_mask, 0);
     Ints up = 0;
 #pragma unroll 1
@@ -101,7 +104,7 @@ INLINE void find(const Span block, __constant Frame *frame, __global const float
         Ints down = are_linked(block, depth, y, 0, 1, above.z, row.z, below.z);
         Ints right = are_linked(block, depth, y, 1, 0, row.left, row.z, row.right);
         Ints left = are_linked(block, depth, y, -1, 0, row.right, row.z, row.left);
-        const Bytes moving = moving_in(above) | moving_in(row) | moving_in(below);
+        const Bytes moving = above.moving | row.moving | below.moving;
         if (ANY_BYTE(moving)) {
             const Ints own = to_ints(row.mask);
             up &= to_ints(above.mask) == own;
@@ -116,7 +119,7 @@ INLINE void find(const Span block, __constant Frame *frame, __global const float
         if (around) linked = with_lattices(linked, p, around, frame, last_stir);
         const int i = p.y * p.width + p.x;
         store_some_bytes(to_bytes(linked), count, links + i);
-        if (frame->levels && frame->has_previous) {
+        if (collects) {
             Floats nearest = above.nearest < row.nearest ? above.nearest : row.nearest;
             nearest = below.nearest < nearest ? below.nearest : nearest;
             const Ints settled = (row.z > 0.0f) & (to_ints(moving) == 0),

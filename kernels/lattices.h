@@ -25,13 +25,15 @@ INLINE float8 row_of(__global const float *p) {
     return z > 0.0f ? z : (float8)(INFINITY);
 }
 
+/* How many conditions hold, from their sums by lanes. */
 INLINE float count_of(const int8 is) {
     const int4 half_sum = is.lo + is.hi;
     const int2 sum = half_sum.lo + half_sum.hi;
     return (float)-(sum.x + sum.y);
 }
 
-INLINE int8 is_step(const float8 a, const float8 b) { return fmin(a, b) < LAYER_STEP * fmax(a, b); }
+/* Steps, of depths that are not NaN. */
+INLINE int8 is_step(const float8 a, const float8 b) { return (a < b ? a : b) < LAYER_STEP * (a < b ? b : a); }
 
 /* Brightness of a pixel's color code. */
 INLINE float code_luma(__global const half *color, const int px, const float offset) {
@@ -58,21 +60,21 @@ INLINE void weigh_layers(const int block, const Frame *frame, __global const flo
     const int width = frame->source_width, height = frame->source_height, columns = block_columns(width);
     if (block >= columns * block_rows(height)) return;
     const int x0 = block % columns * BLOCK_WIDTH, y0 = block / columns * BLOCK_HEIGHT;
-    float across = 0.0f, down = 0.0f;
+    int8 across = 0, down = 0; /* steps of columns, times -1 */
     const bool whole = x0 >= LOOKED_AROUND && y0 >= LOOKED_AROUND && x0 + BLOCK_WIDTH + LOOKED_AROUND <= width
                        && y0 + BLOCK_HEIGHT + LOOKED_AROUND <= height;
     if (whole && !frame->rests) {
         float8 above = row_of(depth + (y0 - 1) * width + x0);
         for (int y = y0; y < y0 + BLOCK_HEIGHT; ++y) {
             const float8 row = row_of(depth + y * width + x0);
-            across += count_of(is_step(row, row_of(depth + y * width + x0 - 1)));
-            down += count_of(is_step(row, above));
+            across += is_step(row, row_of(depth + y * width + x0 - 1));
+            down += is_step(row, above);
             above = row;
         }
     }
     layer[block] = (float4)(0.0f);
     errors[block] = (float4)(0.0f);
-    if (!(across + down >= FEWEST_STEPS)) return;
+    if (!(count_of(across + down) >= FEWEST_STEPS)) return;
 
     float8 nearest = (float8)(INFINITY);
     for (int y = y0 - LOOKED_AROUND; y < y0 + BLOCK_HEIGHT + LOOKED_AROUND; ++y) {
@@ -96,7 +98,8 @@ INLINE void weigh_layers(const int block, const Frame *frame, __global const flo
         together += as_one;
     }
     if (sum.w > 0.0f) layer[block] = (float4)(mean_of(sum.xyz, sum.w), sum.w);
-    errors[block] = (float4)(apart * (sum.w >= DENSE ? BETTER_DENSE : BETTER), together, across, down);
+    errors[block] =
+        (float4)(apart * (sum.w >= DENSE ? BETTER_DENSE : BETTER), together, count_of(across), count_of(down));
 }
 
 /* Of block k of 3x3, the mean place of its near pixels from `center`, their inverse depth relative to the middle
@@ -153,17 +156,19 @@ INLINE bool is_lattice(const int block, const int columns, const int rows, __glo
     if (!(layer[block].w > 0.0f)) return false;
     const int bx = block % columns, by = block / columns;
     if (bx < 1 || by < 1 || bx >= columns - 1 || by >= rows - 1) return false;
+    float2 steps = (float2)(0.0f); /* of 3x3 blocks; those who have too few are spared the rest */
+#pragma unroll 1
+    for (int k = 0; k < 9; ++k) steps += errors[block + (k / 3 - 1) * columns + k % 3 - 1].zw;
+    if (!(steps.x >= LEAST_STEPS && steps.y >= LEAST_STEPS)) return false;
     float apart = 0.0f, together = 0.0f;
-    float2 steps = (float2)(0.0f);
 #pragma unroll 1
     for (int y = max(by - WIDER, 0); y <= min(by + WIDER, rows - 1); ++y)
         for (int x = max(bx - WIDER, 0); x <= min(bx + WIDER, columns - 1); ++x) {
             const float4 there = errors[y * columns + x];
             apart += there.x;
             together += there.y;
-            if (abs(x - bx) <= 1 && abs(y - by) <= 1) steps += there.zw;
         }
-    if (!(together < apart && steps.x >= LEAST_STEPS && steps.y >= LEAST_STEPS)) return false;
+    if (!(together < apart)) return false;
     const float2 center = ((float2)((float)bx, (float)by) + 0.5f) * (float2)((float)BLOCK_WIDTH, (float)BLOCK_HEIGHT);
     *plane = plane_of(layer + block, columns, center);
     return plane->x > 0.0f;

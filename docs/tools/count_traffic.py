@@ -32,6 +32,7 @@ from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.inference.layers import HEAD_WEIGHTS
 from gffe_cl.engine.inference.network import SubstituteNetwork
 from gffe_cl.engine.opencl.device import open_device
+from gffe_cl.engine.opencl.program import kernel_folder
 from gffe_cl.engine.pipeline.pipeline import Pipeline
 from gffe_cl.engine.stages.correction import ShadingCorrection
 from gffe_cl.engine.stages.shading import ShadingTrend
@@ -41,6 +42,8 @@ from gffe_cl.lab.bench import SCENE, scene_loop
 SIZE = (1920, 1080)  # pixels, by default
 PART = (192, 108)  # of which so many are counted,
 CENTER = (0.3, 0.5)  # around here: on plaza edges, movers, holes and blocks are about as frequent as in all of it
+# Samples stand for an image of any size: in the part there are as many fewer, and work-groups as much shorter.
+SAMPLES = {"SAMPLES_X": 6, "SAMPLES_Y": 4, "COUNT_GROUP": 7}
 _PLATFORM = "Oclgrind"
 _HIDDEN = ("GFFE_DEVICE", "OCL_ICD_VENDORS", "OCL_ICD_FILENAMES")  # would choose other devices
 _KERNEL = re.compile(r"^Instructions executed for kernel '(\w+)':$")
@@ -78,7 +81,8 @@ def count(loop: FrameLoop, lanes: int) -> dict[str, KernelTraffic]:
         folder = Path(temporary)
         (folder / "asked").write_bytes(pickle.dumps(loop))
         variables = {name: value for name, value in os.environ.items() if name not in _HIDDEN}
-        variables |= {"GFFE_LANES": str(lanes), "PYOPENCL_NO_CACHE": "1"}
+        variables |= {"GFFE_LANES": str(lanes), "PYOPENCL_NO_CACHE": "1", "GFFE_KERNELS": str(folder / "kernels")}
+        _copy_kernels(folder / "kernels")
         # One thread: the order of execution, and so the result of atomics, is always the same.
         started = [command, "--inst-counts", "--num-threads", "1", sys.executable, __file__, "--under", str(folder)]
         with open(folder / "counts", "w") as counts:
@@ -89,6 +93,16 @@ def count(loop: FrameLoop, lanes: int) -> dict[str, KernelTraffic]:
         launched = json.loads((folder / "launched").read_text())
         blocks = list(parse_counts((folder / "counts").read_text()))
     return _joined(launched, blocks, math.prod((loop.width, loop.height)))
+
+
+def _copy_kernels(folder: Path) -> None:
+    """Copy the kernels, with `SAMPLES` of the part."""
+    shutil.copytree(kernel_folder(), folder)
+    for name in ("scene_cuts.h", "history.cl"):
+        text = (folder / name).read_text()
+        for constant, number in SAMPLES.items():
+            text = re.sub(rf"(#define {constant}) +\d+", rf"\1 {number}", text)
+        (folder / name).write_text(text)
 
 
 def parse_counts(text: str) -> Iterator[tuple[str, int, int, int]]:
