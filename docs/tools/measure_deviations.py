@@ -96,7 +96,7 @@ GAE: dict[str, Change] = {
     "movers' acceleration goes on": Change({"acceleration": False}),
     "nothing is collected after a reset": Change(
         edits={
-            "connectivity.cl": {"if (!frame->levels || !frame->has_previous) return;": ""},
+            "connectivity.cl": {"frame->levels && frame->has_previous;": "true;"},
             "background.cl": {
                 "!frame->has_previous && texel": "!frame->has_previous && level > 0 && texel",
                 "if (!frame->has_previous) return;": "",
@@ -106,8 +106,8 @@ GAE: dict[str, Change] = {
     "nothing is collected beside movers and nearer surfaces": Change(
         edits={
             "connectivity.cl": {
-                "settled = (z > 0.0f) & (moving == 0)": "settled = z > 0.0f",
-                "clean = settled & !(nearest < z * MIXES_IN)": "clean = settled",
+                "settled = (row.z > 0.0f) & (to_ints(moving) == 0)": "settled = row.z > 0.0f",
+                "clean = settled & !(nearest < row.z * MIXES_IN)": "clean = settled",
             }
         }
     ),
