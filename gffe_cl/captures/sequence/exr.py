@@ -1,14 +1,10 @@
-"""Reader and writer of OpenEXR files: headers without the OpenEXR library, with the cameras in them; the pixels of any
-writer, and our own. Sources of a sequence's pixels: EXR files of our own form, or a foreign capture's.
+"""Reader and writer of OpenEXR files: headers without the OpenEXR library; the pixels of any writer, and our own.
+Sources of a sequence's pixels: EXR files of our own form, or a foreign capture's.
 
 For a truncated file the library prints to the console and returns a file without parts. On a full disk it reports no
 error. So the header and the chunk offset table are checked here first. That is cheap (no pixels are read), and finds
 every truncated file before the library opens it. The library's package for Python does not have the types of channels
 either, unless it decodes them. Layout: https://openexr.com/en/latest/OpenEXRFileLayout.html
-
-Cameras are the standard attributes `worldToCamera` and `worldToNDC`. OpenEXR's semantics: camera space is left-handed,
-x right, y up, z forward; in NDC the upper left corner of the display window is (0, 0), the lower right one (1, 1);
-vectors are rows, v·M. Some writers transpose.
 """
 
 from __future__ import annotations
@@ -31,7 +27,6 @@ from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.engine.core.errors import GffeError, printable
 from gffe_cl.engine.core.files import descriptor_of, require_moderate
 from gffe_cl.engine.core.validation import as_float32, require_choice
-from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import Overlays, color_of_planes
 
 _MAGIC = b"\x76\x2f\x31\x01"
@@ -60,7 +55,6 @@ class ExrPart:
     tile: tuple[int, int, int] | None = None  # width, height, level mode
     subsampled: bool = False
     deep: bool = False
-    matrices: dict[str, np.ndarray] = field(default_factory=dict)  # name → (4, 4) float64, as stored
     attributes: dict[str, Any] = field(default_factory=dict)  # others by name: text, number, tuple; "24/1"
     views: tuple[str, ...] = ()  # that its channels are of
 
@@ -239,9 +233,6 @@ def _parse_part(cursor) -> ExrPart | None:
             elif (name, form) in (("name", "string"), ("type", "string")):
                 text = value.data.decode("utf-8", "replace")
                 part.name, kind = (text, kind) if name == "name" else (part.name, text)
-            elif form in ("m44f", "m44d"):
-                numbers = value.unpack("16f" if form == "m44f" else "16d")
-                part.matrices[name] = np.array(numbers).reshape(4, 4)
             elif (name, form) == ("multiView", "stringvector"):
                 part.views += _parse_texts(value)
             elif form == "string":
@@ -342,81 +333,6 @@ def _bytes_at(file, data: bytes, start: int, length: int) -> bytes:
         return data[start : start + length]
     os.lseek(file, start, os.SEEK_SET)
     return os.read(file, length)
-
-
-_FLIP_Y = np.diag([1.0, -1.0, 1.0, 1.0])
-_NAMES = ("worldToCamera", "worldToNDC")
-_TOLERANCE = 1e-3
-
-
-def camera_attributes(camera: Camera, width: int, height: int) -> dict[str, np.ndarray]:
-    """Return the header attributes of `camera` for a display window of `width` × `height` pixels: (4, 4) float32, v·M.
-
-    NDC depth is 1 − 1/z (z in world units); the standard leaves it open.
-    """
-    projection = np.array(
-        [
-            [camera.fx / width, 0, camera.cx / width, 0],
-            [0, camera.fy / height, camera.cy / height, 0],
-            [0, 0, 1, -1],
-            [0, 0, 1, 0],
-        ]
-    )
-    matrices = (_FLIP_Y @ camera.world_to_view, projection @ camera.world_to_view)
-    return {name: np.ascontiguousarray(m.T, np.float32) for name, m in zip(_NAMES, matrices, strict=True)}
-
-
-def has_camera(part: ExrPart) -> bool:
-    return all(name in part.matrices for name in _NAMES)
-
-
-def header_cameras(part: ExrPart) -> tuple[Camera, Camera]:
-    """Return (render camera, display camera) of a part with both attributes, in pixels of its data window and of its
-    display window; the data window may be larger (overscan) or lie elsewhere.
-
-    Raises GffeError if the matrices are not finite, singular or do not belong together.
-    """
-    stored = [part.matrices[name] for name in _NAMES]
-    if not all(np.isfinite(m).all() for m in stored):
-        raise GffeError("camera: worldToCamera and worldToNDC must be finite")
-    fits = [_decompose(*matrices) for matrices in ([m.T for m in stored], stored)]
-    residual, world_to_view, projection = min(fits, key=lambda fit: fit[0])
-    if residual > _TOLERANCE:
-        Camera(_FLIP_Y @ stored[0].T, 1, 1, 0, 0)  # raises for a singular pose
-        raise GffeError(
-            "camera: worldToNDC is no pinhole projection of worldToCamera"
-            " (expected OpenEXR's: z forward, y up, NDC (0, 0) at the upper left)"
-        )
-    (width, height), (left, top) = part.shown_size, part.offset
-    display = Camera(
-        world_to_view,
-        projection[0, 0] * width,
-        projection[1, 1] * height,
-        projection[0, 2] * width,
-        projection[1, 2] * height,
-    )
-    render = Camera(world_to_view, display.fx, display.fy, display.cx - left, display.cy - top)
-    return render, display
-
-
-def _decompose(world_to_camera, world_to_ndc):
-    """Return (how far from a pinhole, world_to_view, (3, 3) projection to NDC) of column-vector matrices."""
-    world_to_view = _FLIP_Y @ world_to_camera
-    left, scale, right = np.linalg.svd(world_to_view[:3, :3])
-    if np.abs(world_to_view[3] - (0, 0, 0, 1)).max() > 1e-5 or np.abs(scale - 1).max() > 1e-2:
-        return np.inf, world_to_view, np.eye(3)
-    world_to_view[:3, :3] = left @ right  # float32 leaves it a little off
-    world_to_view[3] = (0, 0, 0, 1)
-    to_ndc = world_to_ndc[[0, 1, 3]]
-    projection = to_ndc[:, :3] @ world_to_view[:3, :3].T  # up to a factor
-    if not (projection[2, 2] > 0 and projection[0, 0] and projection[1, 1]):
-        return np.inf, world_to_view, projection
-    offset = to_ndc[:, 3] - projection @ world_to_view[:3, 3]
-    reach = np.abs(projection) @ (1 + np.abs(world_to_view[:3, 3]))
-    skew = (projection[0, 1] / projection[0, 0], projection[1, 0] / projection[1, 1])
-    skew += tuple(projection[2, :2] / projection[2, 2])
-    residual = max(np.abs(skew).max(), (np.abs(offset) / reach).max())
-    return residual, world_to_view, projection / projection[2, 2]
 
 
 _FLOAT_CHANNELS = ("Z", "motion.")  # always float32; any other channel keeps half if it is half

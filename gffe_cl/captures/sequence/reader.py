@@ -35,8 +35,6 @@ from gffe_cl.captures.sequence.exr import (
     RENDERED,
     OwnPixels,
     Pixels,
-    has_camera,
-    header_cameras,
     read_header,
     require_whole_overlays,
 )
@@ -331,40 +329,20 @@ def _places(entry, header) -> list[tuple[int, str]]:
     return exr.require_channels(header, RENDERED if has_motion else RENDERED[:4], entry.file)
 
 
-def _lacks_camera(entry) -> bool:
-    """Return whether the JSON leaves out the camera that the EXR header may have."""
-    return (entry.render_camera if entry.kind == "rendered" else entry.display_camera) is None
-
-
 def _complete_cameras(entry, header, description, index, json_name):
-    """Set cameras that the JSON leaves out: from the EXR header, else (display) the render camera's frustum."""
+    """Set the display camera that the JSON leaves out: from the windows of the EXR header, else the render camera's
+    frustum."""
+    if entry.kind != "rendered":
+        return
     size = (description.width, description.height)
-    part = header.parts[header.find("R")[0]]
-    rendered = entry.kind == "rendered"
-    if rendered and entry.render_camera is not None:
-        _complete_overscan(entry, part, size)
     with within(frame_label(index, entry.file, json_name)):
-        if _lacks_camera(entry) and has_camera(part):
-            _take_header_cameras(entry, part, size)
-        if not rendered:
-            return
         if entry.render_camera is None:
-            raise GffeError("no render_camera, and no worldToCamera and worldToNDC in the EXR header")
+            raise GffeError("no render_camera (expected one of every rendered frame)")
+        _complete_overscan(entry, header.parts[header.find("R")[0]], size)
         if entry.display_camera is None:
             entry.display_camera = _same_frustum(entry, size)
         if entry.display_camera is not entry.render_camera:
             require_one_pose(entry.render_camera, entry.display_camera)
-
-
-def _take_header_cameras(entry, part, size):
-    with within("EXR header"):
-        render, display = header_cameras(part)
-    width, height = part.shown_size
-    display = display.scaled(size[0] / width, size[1] / height)
-    if entry.kind == "rendered":
-        entry.render_camera = render
-        entry.render_size = entry.render_size or part.size
-    entry.display_camera = entry.display_camera or display
 
 
 def _complete_overscan(entry, part, size):

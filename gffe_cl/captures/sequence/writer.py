@@ -29,7 +29,7 @@ from gffe_cl.captures.sequence.description import (
     parse_description,
     require_one_size,
 )
-from gffe_cl.captures.sequence.exr import GEOMETRY, OVERLAY_CHANNELS, RENDERED, camera_attributes
+from gffe_cl.captures.sequence.exr import GEOMETRY, OVERLAY_CHANNELS, RENDERED
 from gffe_cl.captures.sequence.output_folder import GENERATOR, OutputFolder
 from gffe_cl.captures.sequence.reader import usable_cores
 from gffe_cl.engine.core.errors import GffeError
@@ -163,11 +163,11 @@ class SequenceWriter:
         else:
             channels = channels | padded
         given = channels if owned else {name: exr.stored_type(name, array) for name, array in channels.items()}
-        attributes, nbytes = self._attributes(entry), sum(np.asarray(array).nbytes for array in given.values())
+        windows, nbytes = self._windows(entry), sum(np.asarray(array).nbytes for array in given.values())
 
         def write(path: Path) -> None:
             stored = {name: exr.stored_type(name, given.pop(name), copy=False) for name in list(given)}
-            exr.write_channels(path, stored, attributes, self._compression)
+            exr.write_channels(path, stored, windows, self._compression)
 
         self._submit(entry, write, nbytes)
 
@@ -290,23 +290,20 @@ class SequenceWriter:
     def _size_of(self, entry) -> tuple[int, int]:
         return entry.render_size or (self._description.width, self._description.height)
 
-    def _attributes(self, entry) -> dict:
-        """Return the attributes of camera and windows. The display window is the display where the stored image is a
-        crop or an overscan of it in whole pixels; else both windows are the stored image."""
-        size = (self._description.width, self._description.height)
-        stored = self._size_of(entry)
-        if entry.render_camera is None:
-            return camera_attributes(entry.display_camera, *stored) if entry.display_camera else {}
+    def _windows(self, entry) -> dict:
+        """Return the attributes of windows. The display window is the display where the stored image is a crop or an
+        overscan of it in whole pixels; else both windows are the stored image."""
         render, display = entry.render_camera, entry.display_camera
-        if display is not None:
-            offset = (display.cx - render.cx, display.cy - render.cy)
-            left, top = (round(n) for n in offset)
-            same_scale = np.allclose((render.fx, render.fy), (display.fx, display.fy), rtol=1e-9)
-            same_pose = np.array_equal(render.world_to_view, display.world_to_view)
-            if same_scale and same_pose and np.abs(np.subtract(offset, (left, top))).max() < 1e-6:
-                windows = {"dataWindow": _box(left, top, *stored), "displayWindow": _box(0, 0, *size)}
-                return {**camera_attributes(display, *size), **windows}
-        return camera_attributes(render, *stored)
+        if render is None or display is None:
+            return {}
+        offset = (display.cx - render.cx, display.cy - render.cy)
+        left, top = (round(n) for n in offset)
+        same_scale = np.allclose((render.fx, render.fy), (display.fx, display.fy), rtol=1e-9)
+        same_pose = np.array_equal(render.world_to_view, display.world_to_view)
+        if not (same_scale and same_pose and np.abs(np.subtract(offset, (left, top))).max() < 1e-6):
+            return {}
+        size = (self._description.width, self._description.height)
+        return {"dataWindow": _box(left, top, *self._size_of(entry)), "displayWindow": _box(0, 0, *size)}
 
 
 def write_parts(

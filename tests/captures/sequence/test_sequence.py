@@ -8,8 +8,6 @@ import threading
 import numpy as np
 import OpenEXR
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 from tiny_sequence import H, W, camera, contiguous, edit, pixels, write
 
 from gffe_cl.captures.sequence import (
@@ -18,9 +16,7 @@ from gffe_cl.captures.sequence import (
     named_channels,
     open_sequence,
 )
-from gffe_cl.captures.sequence.exr import ExrPart, camera_attributes, header_cameras
 from gffe_cl.engine.core.errors import GffeError
-from gffe_cl.engine.frame.camera import Camera
 from gffe_cl.engine.frame.rendered_frame import BadPixels, RenderedFrame, host_arrays
 
 
@@ -74,7 +70,7 @@ def test_stored_types(tmp_path):
 
 
 def test_window(tmp_path):
-    """An overscanned frame: other sizes and cameras for rendering and display, also without JSON cameras."""
+    """An overscanned frame: other sizes and cameras for rendering and display, also by the windows in the file."""
     render = camera(cx=6.2 + 2, cy=4.1 + 3)
     entry = FrameEntry("f.exr", 0.0, "rendered", True, (W + 5, H + 4), render, camera())
     with SequenceWriter(tmp_path, W, H, 30) as writer:
@@ -84,13 +80,9 @@ def test_window(tmp_path):
     assert frame.color.shape == (H + 4, W + 5, 3)
     assert frame.camera == render and frame.display_camera == camera()
 
-    edit(
-        tmp_path,
-        lambda d: [d["frames"][0].pop(k) for k in ("render_size", "render_camera", "display_camera")],
-    )
+    edit(tmp_path, lambda d: [d["frames"][0].pop(k) for k in ("render_size", "display_camera")])
     (entry,) = open_sequence(tmp_path).frames
     assert entry.render_size == (W + 5, H + 4)
-    np.testing.assert_allclose(entry.render_camera.intrinsics, render.intrinsics, rtol=1e-5)
     np.testing.assert_allclose(entry.display_camera.intrinsics, camera().intrinsics, rtol=1e-5)
 
 
@@ -105,50 +97,6 @@ def test_dynamic_resolution_without_display_camera(tmp_path):
         writer.add(FrameEntry("f.exr", 0.0, "rendered", True, (W, H), camera()), named_channels(*pixels()))
     frame = open_sequence(tmp_path).read(open_sequence(tmp_path).frames[0])
     assert frame.display_camera == camera().scaled(2, 2)
-
-
-finite = st.floats(-1, 1)
-
-
-@settings(max_examples=40, deadline=None)
-@given(
-    st.tuples(finite, finite, finite),
-    st.tuples(finite, finite, finite),
-    st.floats(-50, 70),
-    st.floats(5, 400),
-    st.booleans(),
-    st.booleans(),
-)
-def test_header_camera(position, direction, cx, fx, transposed, mirrored):
-    direction = np.add(direction, (0, 0, 1.01))
-    camera = Camera.from_pose(np.multiply(position, 30), direction, (0.1, 1, 0.2), fx, 1.3 * fx, cx, 4.5)
-    if mirrored:
-        camera = Camera(np.diag([-1.0, 1, 1, 1]) @ camera.world_to_view, *camera.intrinsics)
-    matrices = camera_attributes(camera, W, H)
-    part = ExrPart(data_window=(0, 0, W - 1, H - 1), display_window=(0, 0, W - 1, H - 1))
-    part.matrices = {k: np.float64(m.T if transposed else m) for k, m in matrices.items()}
-    for back in header_cameras(part):
-        np.testing.assert_allclose(back.world_to_view, camera.world_to_view, atol=2e-4)
-        np.testing.assert_allclose(back.intrinsics, camera.intrinsics, rtol=1e-3, atol=2e-2)
-
-
-def test_header_camera_semantics():
-    """OpenEXR: v·M, camera space y up and z forward, NDC (0, 0) at the upper left."""
-    matrices = camera_attributes(camera(1.0), W, H)
-    world_pos = camera(1.0).unproject([3.0, 2.0], 2.5)
-    in_camera = [*world_pos, 1] @ matrices["worldToCamera"]
-    ndc = [*world_pos, 1] @ matrices["worldToNDC"]
-    np.testing.assert_allclose(in_camera, [-3.2 / 12 * 2.5, 2.1 / 11 * 2.5, 2.5, 1], atol=1e-5)
-    np.testing.assert_allclose(ndc[:2] / ndc[3], [3 / W, 2 / H], atol=1e-5)
-
-
-def test_cameras_from_headers(folder):
-    edit(folder, lambda d: [f.pop(k, None) for f in d["frames"] for k in ("render_camera", "display_camera")])
-    sequence = open_sequence(folder)
-    for i, entry in enumerate(sequence.rendered):
-        np.testing.assert_allclose(entry.render_camera.world_to_view, camera(i).world_to_view, atol=1e-5)
-        assert sequence.read(entry).display_camera is None
-    np.testing.assert_allclose(sequence.ground_truth[0].display_camera.intrinsics, (12, 11, 6.2, 4.1), rtol=1e-5)
 
 
 # Other people's EXRs
