@@ -253,15 +253,3 @@ def test_check(made, name, tmp_path):
     for frame, mine in zip(given, fixed, strict=True):
         assert_same(replace(frame, geometry_size=None), mine)  # of color's size
         assert frame.camera == mine.camera
-
-
-@pytest.mark.parametrize("name", ["streamline"])
-def test_export(made, name, tmp_path):
-    """Frames for the exported program are in our conventions."""
-    given = open_sequence(made.sequence(name))
-    assert call("export", tmp_path / "c", "--frames", given.path, "--count", FRAMES) == 0
-    for k, frame in enumerate(given):
-        read = {kind: (tmp_path / "c/frames" / f"{k:04}.{kind}").read_bytes() for kind in ("depth", "motion")}
-        assert np.frombuffer(read["depth"], np.float32).reshape(H, W).tobytes() == frame.depth.tobytes()
-        motion = np.zeros((H, W, 2), np.float32) if frame.motion is None else frame.motion
-        np.testing.assert_array_equal(np.frombuffer(read["motion"], np.float32).reshape(H, W, 2), motion)

@@ -77,6 +77,10 @@ GONE: dict[str, str] = {
     "choose_options": "choose a preset: gffe bench prints what each costs.",
     "gffe bench --budget": "gffe bench prints what each preset costs.",
     "attach": "record(pipeline, folder) writes rendered frames that `gffe view FOLDER` follows.",
+    **dict.fromkeys(
+        ("gffe export --frames", "gffe export --count", "gffe export --size"),
+        "the example renders its own frames; `gffe run` takes those of a scene or a capture.",
+    ),
     **{
         f"gffe {command} --follow-links": "make a link of the file system in the capture's folder: these are followed."
         for command in ("bench", "check", "compare", "eval", "import", "run", "view")
