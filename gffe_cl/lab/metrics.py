@@ -32,47 +32,49 @@ _SSIM_WINDOW = 7  # scikit-image's default
 
 
 @dataclass(frozen=True)
-class Metric:
-    """One metric. The console, JSON, studies and the viewer take its name, unit and format from here.
-
-    Attributes
-    ----------
-    name : str
-        Its key in JSON.
-    label, unit, digits
-        Label, unit and number of digits for people.
-    map : callable
-        Function of two images, shown and true, that returns the value of each pixel, (H, W) float; NaN where it is not
-        defined.
-    of_mean : callable
-        The figure from the mean of the map over the pixels that are measured, of one image or of many.
-    higher_is_better : bool
-    module, package : str
-        Module that must be importable, and the package that pip installs for it.
-    slow : bool
-        Where people wait, it is measured after the others.
-    """
+class Figure:
+    """A figure of tables: its key `name` in JSON, and label, unit and number of digits for people."""
 
     name: str
     label: str
-    map: Callable[[np.ndarray, np.ndarray], np.ndarray]
-    of_mean: Callable[[float], float] = float
     unit: str = ""
-    digits: int = 4
+    digits: int = 2
     higher_is_better: bool = True
-    module: str = "numpy"
-    package: str = "numpy"
-    slow: bool = False
 
     @property
     def title(self) -> str:
         """The label with its unit, for a table's column."""
         return f"{self.label}, {self.unit}" if self.unit else self.label
 
-    def text(self, value: float, signed: bool = False) -> str:
+    def text(self, value: float | None, signed: bool = False) -> str:
         """Return a figure for people, "–" where it is not defined."""
-        rounded = round(value, self.digits) + 0.0  # no −0
-        return "–" if math.isnan(value) else f"{rounded:{'+' if signed else ''}.{self.digits}f}"
+        if value is None or not math.isfinite(value):
+            return "–"
+        return f"{round(value, self.digits) + 0.0:{'+' if signed else ''}.{self.digits}f}"  # no −0
+
+
+@dataclass(frozen=True, kw_only=True)
+class Metric(Figure):
+    """One metric. The console, JSON, studies and the viewer take its name, unit and format from here.
+
+    Attributes
+    ----------
+    map : callable
+        Function of two images, shown and true, that returns the value of each pixel, (H, W) float; NaN where it is not
+        defined.
+    of_mean : callable
+        The figure from the mean of the map over the pixels that are measured, of one image or of many.
+    module, package : str
+        Module that must be importable, and the package that pip installs for it.
+    slow : bool
+        Where people wait, it is measured after the others.
+    """
+
+    map: Callable[[np.ndarray, np.ndarray], np.ndarray]
+    of_mean: Callable[[float], float] = float
+    module: str = "numpy"
+    package: str = "numpy"
+    slow: bool = False
 
     def sentence(self, value: float) -> str:
         """Return a figure with its name and unit: "PSNR 31.20 dB"."""
@@ -157,13 +159,14 @@ def flip_error(shown, truth) -> np.ndarray:
 METRICS = {
     metric.name: metric
     for metric in (
-        Metric("psnr", "PSNR", squared_error, decibels, "dB", 2),
-        Metric("ssim", "SSIM", similarity, module="skimage.metrics", package="scikit-image"),
+        Metric("psnr", "PSNR", "dB", map=squared_error, of_mean=decibels),
+        Metric("ssim", "SSIM", digits=4, map=similarity, module="skimage.metrics", package="scikit-image"),
         Metric(
             "flip",
             "FLIP",
-            flip_error,
+            digits=4,
             higher_is_better=False,
+            map=flip_error,
             module="flip_evaluator",
             package="flip-evaluator",
             slow=True,

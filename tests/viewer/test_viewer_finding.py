@@ -210,11 +210,11 @@ def test_a_slot_on_screen_is_measured_by_every_metric_and_once(monkeypatch):
     counted = Counter()
     metrics = {
         name: Metric(
-            name, name, lambda shown, true, name=name: counted.update([name]) or shown[..., 0], slow=name == "slow"
+            name, name, map=lambda shown, true, name=name: counted.update([name]) or shown[..., 0], slow=name == "slow"
         )
         for name in ("psnr", "flip", "slow")
     }
-    metrics["broken"] = Metric("broken", "Broken", lambda shown, true: 1 / 0)
+    metrics["broken"] = Metric("broken", "Broken", map=lambda shown, true: 1 / 0)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.METRICS", metrics)
     monkeypatch.setattr("gffe_cl.viewer.engine.figures.measurable", lambda: list(metrics.values()))
     measured, frame = Measurements(Jobs("test")), made(slot=3)

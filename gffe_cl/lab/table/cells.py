@@ -35,6 +35,7 @@ from gffe_cl.lab.cluster import Cluster
 from gffe_cl.lab.metrics import (
     METRICS,
     REGIONS,
+    Figure,
     Flicker,
     RegionErrors,
     masks,
@@ -73,19 +74,14 @@ class Cell:
 # ---- metrics of whole sequences -----------------------------------------------------------------------------------
 
 
-@dataclass(frozen=True)
-class VideoMetric:
+@dataclass(frozen=True, kw_only=True)
+class VideoMetric(Figure):
     """Metric of a whole sequence, by a network of its own: optional and slow, and skipped with the reason where it
     cannot run. `measure(shown, truth, fps)` takes lists of display values (H, W, 3), rendered and
     generated frames in the order of display, and the rate of display in frames per second; generated frames alone if
-    `generated_only`. Other attributes are those of `gffe_cl.lab.metrics.Metric`."""
+    `generated_only`."""
 
-    name: str
-    label: str
     measure: Callable[[list[np.ndarray], list[np.ndarray], float], float]
-    unit: str = ""
-    digits: int = 2
-    higher_is_better: bool = True
     generated_only: bool = False
 
 
@@ -112,9 +108,9 @@ def _lpips(shown, truth, fps) -> float:
 VIDEO_METRICS = {
     metric.name: metric
     for metric in (
-        VideoMetric("fvvdp", "FovVideoVDP", partial(_difference, "pyfvvdp", "fvvdp"), "JOD"),
-        VideoMetric("cvvdp", "ColorVideoVDP", partial(_difference, "pycvvdp", "cvvdp"), "JOD"),
-        VideoMetric("lpips", "LPIPS", _lpips, digits=4, higher_is_better=False, generated_only=True),
+        VideoMetric("fvvdp", "FovVideoVDP", "JOD", measure=partial(_difference, "pyfvvdp", "fvvdp")),
+        VideoMetric("cvvdp", "ColorVideoVDP", "JOD", measure=partial(_difference, "pycvvdp", "cvvdp")),
+        VideoMetric("lpips", "LPIPS", digits=4, higher_is_better=False, measure=_lpips, generated_only=True),
     )
 }
 
@@ -488,31 +484,10 @@ PAPER = {
 }
 
 
-@dataclass(frozen=True)
-class Column:
-    """A figure of the table: its key in JSON, its label and unit for people, and whether higher is better."""
-
-    name: str
-    title: str
-    digits: int
-    higher_is_better: bool
-
-    def text(self, value: float | None, signed: bool = False) -> str:
-        """Return a figure as text, "–" if undefined."""
-        if value is None or not math.isfinite(value):
-            return "–"
-        return f"{round(value, self.digits) + 0.0:{'+' if signed else ''}.{self.digits}f}"
-
-
-METRIC_COLUMNS = tuple(Column(m.name, m.title, m.digits, m.higher_is_better) for m in METRICS.values())
-AGAINST = Column("against", f"against {FULL}, dB", 2, True)
-FLICKER = Column("flicker", "flicker, %", 2, False)
-VIDEO_COLUMNS = tuple(
-    Column(m.name, f"{m.label}, {m.unit}" if m.unit else m.label, m.digits, m.higher_is_better)
-    for m in VIDEO_METRICS.values()
-)
-TIME = Column("milliseconds", "ms", 1, False)
-COLUMNS = {c.name: c for c in (METRIC_COLUMNS[0], AGAINST, *METRIC_COLUMNS[1:], FLICKER, *VIDEO_COLUMNS, TIME)}
+_PSNR, *_OTHERS = METRICS.values()
+_AGAINST = Figure("against", f"against {FULL}", "dB")
+_FLICKER, _TIME = Figure("flicker", "flicker", "%", 2, False), Figure("milliseconds", "ms", "", 1, False)
+COLUMNS = {c.name: c for c in (_PSNR, _AGAINST, *_OTHERS, _FLICKER, *VIDEO_METRICS.values(), _TIME)}
 
 
 def results_of(filled: Filled, command: str = "") -> dict:
@@ -524,14 +499,17 @@ def results_of(filled: Filled, command: str = "") -> dict:
         cell["against"] = cell["psnr"] - full[cell["sequence"]] if known else None
     names = [subject.name for subject in filled.subjects]
     means = [mean for name in filled.methods if (mean := _mean(name, cells, filled, names))]
-    present = [c.name for c in COLUMNS.values() if any(mean.get(c.name) is not None for mean in means)]
+    present = [c for c in COLUMNS.values() if any(mean.get(c.name) is not None for mean in means)]
     return {
         "generator": f"gffe-cl {__version__}",
         "date": datetime.datetime.now(datetime.UTC).strftime("%Y-%m-%d"),
         "command": command,
         "versions": versions(),
         "machine": filled.machine,
-        "columns": [asdict(COLUMNS[name]) for name in present],
+        "columns": [
+            {"name": c.name, "title": c.title, "digits": c.digits, "higher_is_better": c.higher_is_better}
+            for c in present
+        ],
         "regions": REGIONS,
         "methods": [{"name": m.name, "title": m.title, "group": m.group} for m in filled.methods.values()],
         "sequences": [{"name": name, **filled.described[name].document} for name in names],
@@ -597,7 +575,7 @@ def to_csv(results: dict) -> str:
 
 def _cell(sequence: str, method: str, cell: Cell) -> dict:
     document, timing = cell.document, cell.timing or {}
-    figures = {column.name: finite(_average(cell, column.name)) for column in METRIC_COLUMNS}
+    figures = {name: finite(_average(cell, name)) for name in METRICS}
     regions = {
         region: {name: finite(value) for name, value in values.items()}
         for region, values in cell.errors.figures().items()
@@ -641,6 +619,6 @@ def _average(cell: Cell, name: str) -> float:
     return float(np.mean(values)) if values else float("nan")
 
 
-def columns_of(results: dict) -> list[Column]:
+def columns_of(results: dict) -> list[Figure]:
     """Return the columns that have figures."""
     return [COLUMNS[column["name"]] for column in results["columns"]]
