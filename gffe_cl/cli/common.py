@@ -265,35 +265,24 @@ NOBODY_READS = 141  # exit code of a program that SIGPIPE ends
 SCN = ("shading_correction", "focus_mask", "scn_model", "scn_provider")  # options of the commands that only measure
 
 
-def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
+def takes_options(*names: str) -> Callable[[Callable], Callable]:
     """Return a decorator that gives a command the options `names` (all that have a flag if none are named) in place of
-    its parameter `options`, an `Options`; `fixed` are values of others. A command with all that a preset sets has
-    `--preset`, too."""
+    its parameter `options`, an `Options`. A command with all that a preset sets has `--preset`, too."""
 
     def decorate(command: Callable) -> Callable:
-        chosen = [OPTIONS[name] for name in names or OPTIONS if OPTIONS[name].flag and name not in fixed]
-        own = [p for p in inspect.signature(command).parameters.values() if p.name != "options"]
-        resolved = typing.get_type_hints(command, localns={"Options": Options}, include_extras=True)
+        chosen = [OPTIONS[name] for name in names or OPTIONS if OPTIONS[name].flag]
         made = [parameter for option in chosen for parameter in _parameters(option)]
         if {name for preset in PRESETS.values() for name in preset.values} <= {option.name for option in chosen}:
             made.insert(0, _PRESET)
-        parameters = [p.replace(annotation=resolved[p.name]) for p in own] + made
 
-        def with_options(context: typer.Context, **given: Any) -> Any:
-            values = {p.name: given.pop(p.name) for p in made}
+        def value(context: typer.Context, **values: Any) -> Options:
             preset = values.pop(_PRESET.name, _PRESET.default)
             require_choice(preset, PRESETS, "--preset")
             sources = {name: context.get_parameter_source(name) for name in values}
             said = {name for name, source in sources.items() if source is not None and source.name != "DEFAULT"}
-            return command(**given, options=_options(chosen, values, said, fixed, PRESETS[preset].values))
+            return _options(chosen, values, said, PRESETS[preset].values)
 
-        parameters.append(_CONTEXT)
-        with_options.__signature__ = inspect.Signature(
-            [p.replace(kind=inspect.Parameter.KEYWORD_ONLY) for p in parameters]
-        )
-        with_options.__annotations__ = {p.name: p.annotation for p in parameters}
-        with_options.__name__, with_options.__doc__ = command.__name__, command.__doc__
-        return with_options
+        return _with_parameters(command, "options", [*made, _CONTEXT], value)
 
     return decorate
 
@@ -301,19 +290,26 @@ def takes_options(*names: str, **fixed: Any) -> Callable[[Callable], Callable]:
 def takes_scheduler(command: Callable) -> Callable:
     """Give a command `--scheduler` and the files of TLS in place of its parameter `cluster`, a context: of the
     `Cluster` of that scheduler, of which a line on its work is printed at the end, or of None."""
-    parameters = [_parameter(name, kind, None, flag, text) for name, kind, flag, text in _CLUSTER]
+    made = [_parameter(name, kind, None, flag, text) for name, kind, flag, text in _CLUSTER]
+    return _with_parameters(command, "cluster", made, lambda scheduler, **tls: _cluster_at(scheduler, [*tls.values()]))
+
+
+def _with_parameters(
+    command: Callable, name: str, made: list[inspect.Parameter], value: Callable[..., Any]
+) -> Callable:
+    """Return a command with the parameters `made` in place of its parameter `name`, which becomes their `value`."""
     resolved = typing.get_type_hints(command, localns={"Options": Options}, include_extras=True)
-    own = [p for p in inspect.signature(command).parameters.values() if p.name != "cluster"]
+    own = [p for p in inspect.signature(command).parameters.values() if p.name != name]
+    own = [p.replace(annotation=resolved[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in own]
 
-    def with_cluster(**given: Any) -> Any:
-        scheduler, *tls = (given.pop(p.name) for p in parameters)
-        return command(**given, cluster=_cluster_at(scheduler, tls))
+    def changed(**given: Any) -> Any:
+        taken = {p.name: given.pop(p.name) for p in made}
+        return command(**given, **{name: value(**taken)})
 
-    made = [p.replace(annotation=resolved[p.name], kind=inspect.Parameter.KEYWORD_ONLY) for p in own] + parameters
-    with_cluster.__signature__ = inspect.Signature(made)
-    with_cluster.__annotations__ = {p.name: p.annotation for p in made}
-    with_cluster.__name__, with_cluster.__doc__ = command.__name__, command.__doc__
-    return with_cluster
+    changed.__signature__ = inspect.Signature([*own, *made])
+    changed.__annotations__ = {p.name: p.annotation for p in (*own, *made)}
+    changed.__name__, changed.__doc__ = command.__name__, command.__doc__
+    return changed
 
 
 @contextmanager
@@ -404,12 +400,10 @@ _PRESET = _parameter(
 )
 
 
-def _options(
-    chosen: list[Option], values: dict[str, Any], said: set[str], fixed: dict[str, Any], preset: dict[str, Any]
-) -> Options:
+def _options(chosen: list[Option], values: dict[str, Any], said: set[str], preset: dict[str, Any]) -> Options:
     """Return the options from the `values` of parameters, of which those `said` stand on the command line, and those of
     a preset where nothing is said."""
-    made = dict(fixed)
+    made: dict[str, Any] = {}
     for option in chosen:
         if option.name in preset and not {option.name, f"no_{option.name}"} & said:
             made[option.name] = preset[option.name]
