@@ -41,7 +41,7 @@ def railing(start, end, height, spacing, material, at: Motion | None = None, rad
     return groups
 
 
-def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall, frame, glass=True) -> list[Group]:
+def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall, frame) -> list[Group]:
     """Return a wall in the plane x, from z_start down to z_end, with a window every `pitch` meters; frames and panes
     included."""
     thick = 0.22
@@ -64,9 +64,8 @@ def wall_with_windows(x, z_start, z_end, height, sill, head, width, pitch, wall,
         ]
         bars += [Box((x, y, z + s * (width / 2 - 0.025)), (0.1, head - sill, 0.05), frame) for s in (-1, 1)]
         groups.append(Group(bars, name="window frame"))
-        if glass:
-            pane = Box((x - 0.04, y, z), (0.006, head - sill, width), GLASS)
-            groups.append(Group([pane], casts_shadow=False, name="pane"))
+        pane = Box((x - 0.04, y, z), (0.006, head - sill, width), GLASS)
+        groups.append(Group([pane], casts_shadow=False, name="pane"))
     edges.append(z_end)
     for a, b in zip(edges[::2], edges[1::2], strict=True):
         pier = Box((x, (sill + head) / 2, (a + b) / 2), (thick - 0.002, head - sill, a - b), wall)
@@ -478,9 +477,9 @@ class _Body(Motion):
         )
 
 
-def walker(path: Path, rng: np.random.Generator, height: float | None = None) -> list[Group]:
+def walker(path: Path, rng: np.random.Generator) -> list[Group]:
     """Return a person who walks along `path` at its speed: ten rigid groups; looks come from `rng`."""
-    h = (height or float(rng.uniform(1.58, 1.9))) / 1.75
+    h = float(rng.uniform(1.58, 1.9)) / 1.75
     shirt_color = vary(rng, pick(rng, *_SHIRTS))
     seed = int(rng.integers(1 << 16))
     shirt = Material(

@@ -530,11 +530,6 @@ class EncodedFrames:
             frame = self._rendered(frame, number)
         return self.encoding.frame(frame, self.frames.scene.exposure)
 
-    def sequence(self, count: int, fps: float | None = None, start: float = 0.0) -> Iterator[RenderedFrame]:
-        """Yield stored frames as `SceneFrames.sequence` yields exact ones."""
-        for k, frame in enumerate(self.frames.sequence(count, fps, start)):
-            yield self.encoded(frame, k)
-
     def _rendered(self, frame: RenderedFrame, number: int) -> RenderedFrame:
         """Return `frame` antialiased over time, or its geometry jittered, perhaps smaller, or both."""
         parts, sample = self.encoding.parts, None

@@ -196,12 +196,12 @@ def only_process(folder: Path) -> Iterator[None]:
             path.unlink(missing_ok=True)
 
 
-def lock(file, shared: bool = False) -> bool:
+def lock(file) -> bool:
     """Return whether the lock of this file was free. Then this process holds it until the file is closed. On file
     systems without locks the result is always true."""
     if fcntl is not None:
         try:
-            fcntl.flock(file, (fcntl.LOCK_SH if shared else fcntl.LOCK_EX) | fcntl.LOCK_NB)
+            fcntl.flock(file, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
             return False
         except OSError:

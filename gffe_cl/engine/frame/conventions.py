@@ -28,6 +28,7 @@ LAYOUTS = ("auto", "row-major", "column-major")
 DIRECTIONS = {"to_previous": 1.0, "from_previous": -1.0}
 _ZERO = 1e-6  # of the largest entry
 _SAME = 1e-9
+_RIGID = 1e-2  # by which lengths may differ
 MOST_PLANES = 1e30  # times the near plane: beyond, a plane is infinitely far
 _SLACK = 1e-3  # by which infinitely far planes are moved against rounding errors
 
@@ -149,16 +150,16 @@ def square(given: Any, name: str) -> np.ndarray:
     return array.reshape(4, 4)
 
 
-def rigid(matrix: np.ndarray, name: str, tolerance: float = 1e-2) -> np.ndarray:
+def rigid(matrix: np.ndarray, name: str) -> np.ndarray:
     """Return (4, 4) `matrix` without rounding errors and uniform scale of its rotation. The camera's position stays.
 
-    Raises GffeError unless it is a rotation (mirrored or not), a scale and a translation within `tolerance`.
+    Raises GffeError unless it is a rotation (mirrored or not), a scale and a translation, to 1%.
     """
     made = np.eye(4)
     try:
         with np.errstate(all="ignore"):
             left, scale, right = np.linalg.svd(matrix[:3, :3])
-            fits = scale[2] > 0 and scale[0] / scale[2] - 1 <= tolerance
+            fits = scale[2] > 0 and scale[0] / scale[2] - 1 <= _RIGID
             made[:3, :3] = left @ right
             made[:3, 3] = made[:3, :3] @ np.linalg.solve(matrix[:3, :3], matrix[:3, 3])
     except np.linalg.LinAlgError:

@@ -245,13 +245,13 @@ class WindowChooser:
     alphas : times of the frames that will be extrapolated, in intervals
     """
 
-    def __init__(self, mode: str, size: tuple[int, int], alphas: Iterable[float], max_enlargement=MAX_ENLARGEMENT):
+    def __init__(self, mode: str, size: tuple[int, int], alphas: Iterable[float]):
         kind, _, factor = mode.partition(":")
         try:
             self._fixed = fixed_window(float(factor)) if kind == "fixed" else {"off": FULL, "adaptive": None}[mode]
         except (KeyError, ValueError):
             raise GffeError(f"window must be adaptive, fixed:FACTOR (fixed:1.2) or off, got '{mode}'") from None
-        self.size, self.alphas, self.max_enlargement = size, sorted(set(alphas)), max_enlargement
+        self.size, self.alphas = size, sorted(set(alphas))
         self._distance = math.inf
 
     def choose(self, current: Camera, previous: Camera | None) -> Window:
@@ -262,9 +262,7 @@ class WindowChooser:
         if previous is None:
             return FULL
         predicted = [predict_camera(previous, current, alpha) for alpha in self.alphas]
-        return adaptive_window(
-            current, predicted, self.max_enlargement, size=self.size, distance=self._distance, least=_LEAST
-        )
+        return adaptive_window(current, predicted, size=self.size, distance=self._distance, least=_LEAST)
 
     def observe(self, depth: np.ndarray) -> None:
         """Take depth (H, W) of a rendered frame as a guide for the next."""

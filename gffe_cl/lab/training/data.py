@@ -374,6 +374,7 @@ _CONSTANTS = constants("shading_trend.cl")
 _CELL, _LEAST_SHARE = _CONSTANTS["CELL"], _CONSTANTS["LEAST_SHARE"]
 _KNOWN = 0.25  # input masks farther than this from that of static, shown pixels are others' or mixed
 _UNKNOWN_BEFORE = 0.08  # share of crops that are taken as from the second frame after a reset
+_NOISY, _CHANGING = 0.25, 1 / 3  # shares of crops with noise, and of patterns that do not move steadily
 
 
 class Augmentation:
@@ -386,12 +387,12 @@ class Augmentation:
     only the trend is known. Trends follow as the stage `ShadingTrend` would find them.
 
     Batches are on the device of `generator`. `shading`: how often a crop gets any; two fifths of these have lights that
-    switch. `changing`: the share of patterns that do not move steadily: they jump, are somewhere else in every frame,
+    switch. A third of the patterns (`_CHANGING`) does not move steadily: they jump, are somewhere else in every frame,
     flicker or fade. Of these only fading continues.
     """
 
-    def __init__(self, generator: torch.Generator, shading: float = 0.6, noise: float = 0.25, changing: float = 1 / 3):
-        self.generator, self.shading, self.noise, self.changing = generator, shading, noise, changing
+    def __init__(self, generator: torch.Generator, shading: float = 0.6):
+        self.generator, self.shading = generator, shading
 
     def __call__(self, batch: Batch) -> Batch:
         with self.generator.device:
@@ -423,7 +424,7 @@ class Augmentation:
         some = self._some(count, _UNKNOWN_BEFORE)
         trends[some, 3:6] = 0
         trends[some, 7:] = 0
-        some = self._some(count, self.noise)
+        some = self._some(count, _NOISY)
         if len(some):
             colors[:2, some] = self._grainy(colors[:2, some])
         gae, previous, truth = colors[:3]
@@ -459,7 +460,7 @@ class Augmentation:
         t, t − 1, t + α and t − 2."""
         times = torch.stack((torch.zeros(count), -torch.ones(count), alpha, torch.full((count,), -2.0)))
         strength = torch.ones(4, count)
-        kind = torch.rand(count, generator=self.generator) / max(self.changing, 1e-9)  # 1 and more: steady
+        kind = torch.rand(count, generator=self.generator) / _CHANGING  # 1 and more: steady
         elsewhere = self._uniform((4, count), -3.0, 3.0)
         times = torch.where(kind < 0.3, elsewhere, times)
         jumps = (kind >= 0.3) & (kind < 0.4)

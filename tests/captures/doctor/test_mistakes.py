@@ -136,7 +136,8 @@ def test_sound_sequences_have_no_fault(scene, code):
     """As engines store them, too: vectors of games are dilated, which is named, and nothing else."""
     loaded, encoding = load_scene(scene, 5), Encoding.parse(code)
     source = SceneFrames(SceneRenderer(open_device(), loaded, *SIZE))
-    frames = list(EncodedFrames(source, encoding).sequence(COUNT, FPS))
+    stored = EncodedFrames(source, encoding)
+    frames = [stored.encoded(frame, k) for k, frame in enumerate(source.sequence(COUNT, FPS))]
     said = gffe_cl.check(frames, loaded.exposure, encoding.format)
     assert said is None or ("motion: motion_dilated=True" in said and code == "game")
     if code == "exact":
