@@ -79,20 +79,13 @@ INLINE Ints with_lattices(const Ints links, const Span p, const uchar around, __
     return own ? ~(ends & parts) & (IN_LATTICE | ALL_LINKS) : links & ~(ends & parts);
 }
 
-/* The background before collection: the state of all levels, and the receivers of fragments offered to them. */
-typedef struct {
-    __global uchar *levels_state;
-    __global Key *keys;
-    __global uint *winners;
-} Collecting;
-
 /* links, of a block's width and height of pixels: which of the four neighbors belong to the same surface and are
    equally static or dynamic. To `collect`: texels are SHOWN where depth is valid and none of 3x3 pixels is dynamic or
    nearer, and an EDGE where one is nearer, but none is dynamic. The others are EMPTY, and no fragment is offered to
    them yet. `around`: of with_lattices. A link is found once for both pixels, of rows that follow one another. */
 INLINE void find(const Span block, __constant Frame *frame, __global const float *depth,
                  __global const uchar *dynamic_mask, __global const int *last_stir, const uchar around,
-                 __global uchar *links, const Collecting to) {
+                 __global uchar *links, __global uchar *levels_state, __global Key *keys, __global uint *winners) {
     const int count = min(LANES, block.width - block.x), rows = min(BLOCK_HEIGHT, block.height - block.y);
     const bool collects = frame->levels && frame->has_previous;
     Row above = row_beside(block, depth, dynamic_mask, -1), row = row_beside(block, depth, dynamic_mask, 0);
@@ -125,8 +118,8 @@ INLINE void find(const Span block, __constant Frame *frame, __global const float
             const Ints settled = (row.z > 0.0f) & (to_ints(moving) == 0),
                        clean = settled & !(nearest < row.z * MIXES_IN);
             const Ints state = clean ? (Ints)(SHOWN) : settled ? (Ints)(EDGE) : (Ints)(EMPTY);
-            store_some_bytes(to_bytes(state), count, to.levels_state + i);
-            for (int k = 0; !ALL(settled) && k < count; ++k) forget(to.keys, to.winners, i + k);
+            store_some_bytes(to_bytes(state), count, levels_state + i);
+            for (int k = 0; !ALL(settled) && k < count; ++k) forget(keys, winners, i + k);
         }
         above = row;
         row = below;
@@ -141,7 +134,6 @@ WIDE __kernel void find_links(__constant Frame *restrict frame, __global const f
                               __global Key *keys, __global uint *winners) {
     const int width = frame->source_width, height = frame->source_height;
     const int x = get_global_id(0) * LANES, y = get_global_id(1) * BLOCK_HEIGHT;
-    const Collecting to = {levels_state, keys, winners};
     if (x >= width || y >= height) return;
     const int block = block_of(x, y, width);
     if (links_are_known(block, frame, last_stir)) return;
@@ -149,8 +141,8 @@ WIDE __kernel void find_links(__constant Frame *restrict frame, __global const f
     Span p = {x, y, width, height, false};
     if (x >= REACH && x + LANES + REACH <= width && y >= REACH && y + BLOCK_HEIGHT + REACH <= height) {
         p.inner = true;
-        find(p, frame, depth, dynamic_mask, last_stir, around, links, to);
+        find(p, frame, depth, dynamic_mask, last_stir, around, links, levels_state, keys, winners);
     } else {
-        find(p, frame, depth, dynamic_mask, last_stir, around, links, to);
+        find(p, frame, depth, dynamic_mask, last_stir, around, links, levels_state, keys, winners);
     }
 }

@@ -218,15 +218,10 @@ INLINE float excess_threshold_squared(__local const int *histogram) {
 /* How many quantized vectors were added to one: two, if that brings more than a fortieth of the pixels within the
    errors. From histograms of the squared excess of residuals over the errors of one vector and of two. */
 INLINE int lookups_of(__local const int *histogram) {
-    int low = 0, lookups = 1;
+    int low = 0;
     while (bin_start(low) < QUANTIZED_LOW * QUANTIZED_LOW) ++low;
-    while (lookups < LOOKUPS
-           && 40
-                      * (sum_of(histogram + (lookups - 1) * RESIDUAL_BINS, low)
-                         - sum_of(histogram + lookups * RESIDUAL_BINS, low))
-                  > sum_of(histogram, 0))
-        ++lookups;
-    return lookups;
+    const int more = sum_of(histogram, low) - sum_of(histogram + RESIDUAL_BINS, low);
+    return 40 * more > sum_of(histogram, 0) ? LOOKUPS : 1;
 }
 
 /* Measures a subset of the pixels, before anything else is done with a rendered frame. The first row of

@@ -124,6 +124,7 @@ typedef struct {
 /* The rendered frame and the one before, and which of its movers' parts won pixels of the new one. */
 typedef struct {
     __global const half *color_prev;
+    __global const float *depth_prev;
     __global const float2 *source_motion;
     __global const float *target_position;
     __global const Key *keys;
@@ -173,15 +174,8 @@ INLINE Side look_beside(const int dst_x, const int dst_y, const int k, __constan
     return side;
 }
 
-/* The frame before. */
-typedef struct {
-    __global const half *color;
-    __global const float *depth;
-} Before;
-
 /* Code of the color of a static point in the frame before; false where that did not show its surface all around. */
-INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Before before,
-                         float3 *code) {
+INLINE bool shown_before(const float2 center, const float z, __constant Frame *frame, const Winning f, float3 *code) {
     const int width = frame->source_width, height = frame->source_height;
     const float3 px_prev = reproject(center, z, frame->target_to_previous);
     if (!(px_prev.z > 0.0f && px_prev.x >= 0.5f && px_prev.y >= 0.5f && px_prev.x < (float)width - 0.5f
@@ -192,8 +186,8 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
     float3 sum = (float3)(0.0f);
     for (int tap = 0; tap < 4; ++tap) {
         const int i = (y0 + (tap >> 1)) * width + x0 + (tap & 1);
-        if (!is_same_surface(before.depth[i], px_prev.z, 2.0f * SAME_LEVEL * px_prev.z)) return false;
-        sum += bilinear_weight(tap, u, v) * load_code(before.color, i, frame->code_offset);
+        if (!is_same_surface(f.depth_prev[i], px_prev.z, 2.0f * SAME_LEVEL * px_prev.z)) return false;
+        sum += bilinear_weight(tap, u, v) * load_code(f.color_prev, i, frame->code_offset);
     }
     *code = sum;
     return true;
@@ -201,7 +195,7 @@ INLINE bool shown_before(const float2 center, const float z, __constant Frame *f
 
 /* What is around a hole of the background, BEYOND_EDGE px beyond `side` in direction k: its code in the frame before,
    and the squared change since then, or -1 where that frame did not show it. */
-INLINE float4 change_around(const int k, __local const Side *side, __constant Frame *frame, const Before before,
+INLINE float4 change_around(const int k, __local const Side *side, __constant Frame *frame,
                             __global const uchar *disoccluded, const Winning parts, const NewFrame made) {
     const float4 unknown = (float4)(0.0f, 0.0f, 0.0f, -1.0f);
     const int width = frame->target_width;
@@ -211,7 +205,7 @@ INLINE float4 change_around(const int k, __local const Side *side, __constant Fr
     const float4 shown = code_shown(dst, frame, parts, made);
     float3 code;
     if (!is_as_far(inverse_of(shown.w), side->inverse)
-        || !shown_before(pixel_center(dst_x, dst_y), shown.w, frame, before, &code))
+        || !shown_before(pixel_center(dst_x, dst_y), shown.w, frame, parts, &code))
         return unknown;
     const float3 change = shown.xyz - code;
     return (float4)(code, squared_length(change));
@@ -288,8 +282,7 @@ fill_hidden(__constant Frame *restrict frame, __global const half *color_prev, _
     __local Side sides[TEAMS][DIRECTIONS];
     __local float4 changes[TEAMS][DIRECTIONS];
     __local int is_filled[TEAMS];
-    const Before before = {color_prev, depth_prev};
-    const Winning won = {color_prev, source_motion, target_position, keys, winners};
+    const Winning won = {color_prev, depth_prev, source_motion, target_position, keys, winners};
     const NewFrame to = {color, depth, motion, filled_by};
     const Texels texels = {.color = levels_color,
                            .frame_color = frame_color,
@@ -318,7 +311,7 @@ fill_hidden(__constant Frame *restrict frame, __global const half *color_prev, _
         WAIT_FOR_TEAM();
         const int far = mixes ? far_side(sides[team]) : 0;
         for (int k = item % TEAM; k < DIRECTIONS; k += TEAM)
-            if (has(far, k)) changes[team][k] = change_around(k, &sides[team][k], frame, before, disoccluded, won, to);
+            if (has(far, k)) changes[team][k] = change_around(k, &sides[team][k], frame, disoccluded, won, to);
         WAIT_FOR_TEAM();
         if (frame->far_side && item < TEAMS && is_filled[item])
             mix_far_side((int)own, sides[item], changes[item], frame, color);

@@ -5,7 +5,7 @@
    (gffe_cl/engine/frame/frame_format.py). */
 
 #include "frame.h"
-#include "simd_rgb.h"
+#include "stencil.h"
 #include "logarithm.h"
 #include "thresholds.h"
 
@@ -348,25 +348,6 @@ WIDE __kernel void convert_geometry(__constant Frame *restrict frame, __global c
     store_counts(frame->source_width, frame->source_height, 4, far, too_long, bad_pixels);
 }
 
-/* Depths of the samples around LANES of them, row by row; 0 beyond the image. */
-INLINE void depths_around(__global const float *depth, const int x, const int y, const int width, const int height,
-                          Floats around[SQUARE * SQUARE]) {
-    const int reach = SQUARE / 2;
-    const bool is_inside = x >= reach && y >= reach && x + LANES + reach <= width && y + reach < height;
-#pragma unroll
-    for (int k = 0; k < SQUARE * SQUARE; ++k) {
-        const int row = y + k / SQUARE - reach, first = x + k % SQUARE - reach;
-        if (is_inside) {
-            around[k] = load_floats(0, depth + row * width + first);
-            continue;
-        }
-        const Ints column = LANE_NUMBERS + first,
-                   there = (column >= 0) & (column < (row >= 0 && row < height ? width : 0));
-        const Floats z = gather_floats(depth, there ? row * width + column : (Ints)(0));
-        around[k] = there ? z : (Floats)(0.0f);
-    }
-}
-
 /* Motion of the size of the geometry without dilation, from vectors of the nearest of 3x3 samples. Of those around a
    sample that show its surface and nothing nearer beside it, the one counts whose vector comes from closest by: often
    that is the sample itself. If there is none, and something nearer beside the sample, it is taken for static. */
@@ -375,8 +356,15 @@ WIDE __kernel void undo_dilation(__constant Frame *restrict frame, __global cons
     const int width = frame->geometry_width, height = frame->geometry_height;
     const int x = (int)get_global_id(0) * LANES, y = get_global_id(1), count = width - x;
     if (x >= width || y >= height) return;
-    Floats around[SQUARE * SQUARE];
-    depths_around(depth, x, y, width, height, around);
+    const int reach = SQUARE / 2;
+    const bool inner = x >= reach && y >= reach && x + LANES + reach <= width && y + reach < height;
+    const Span p = {x, y, width, height, inner};
+    Floats around[SQUARE * SQUARE]; /* depths; 0 beyond the image */
+#pragma unroll
+    for (int k = 0; k < SQUARE * SQUARE; ++k) {
+        const int dx = k % SQUARE - reach, dy = k / SQUARE - reach;
+        around[k] = is_inside(p, dx, dy) ? beside(p, depth, dx, dy) : (Floats)(0.0f);
+    }
     const Floats z = around[MIDDLE];
     const Ints here = y * width + min(x + LANE_NUMBERS, (Ints)(width - 1));
     Ints chosen = here, distance = (Ints)(INT_MAX);
