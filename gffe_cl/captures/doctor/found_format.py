@@ -19,6 +19,7 @@ from gffe_cl.captures.formats.capture import Keys
 from gffe_cl.captures.sequence import FrameEntry, Sequence
 from gffe_cl.captures.sequence.description import Description
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
+from gffe_cl.captures.sequence.exr import Pixels
 from gffe_cl.engine.core.errors import GffeError
 from gffe_cl.engine.core.validation import require_positive, require_whole
 from gffe_cl.engine.frame.frame_format import NO_JITTER, FrameFormat, jitter_in_color, require_render_size
@@ -131,7 +132,7 @@ def with_format(sequence: Sequence, found: FoundFormat) -> Sequence:
     return Sequence(sequence.path, description, _FoundPixels(sequence, found, rendered, sources))
 
 
-class _FoundPixels:
+class _FoundPixels(Pixels):
     """Pixels of `sequence` as `found` describes them; `sources`: {file → {buffer → entry that has it}}."""
 
     def __init__(
@@ -141,9 +142,9 @@ class _FoundPixels:
         rendered: list[FrameEntry],
         sources: dict[str, dict[str, FrameEntry]],
     ):
+        super().__init__()
         self._sequence, self._found, self._sources = sequence, found, sources
         self._before = dict(zip([one.file for one in rendered[1:]], rendered, strict=False))
-        self.notes: list[str] = []
 
     def read(self, entry: FrameEntry, size: tuple[int, int]):
         source = self._sources[entry.file]
@@ -171,6 +172,3 @@ class _FoundPixels:
 
     def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
         return self._sequence.read_channels(entry, names)
-
-    def exr_file(self, entry: FrameEntry) -> None:
-        return None

@@ -23,7 +23,7 @@ from gffe_cl.captures.sequence.description import Description, FrameEntry, check
 from gffe_cl.captures.sequence.exr import (
     COLOR,
     ExrHeader,
-    ForeignPixels,
+    Pixels,
     decoded,
     placed,
     read_header,
@@ -81,7 +81,7 @@ def open_blender(folder: Path) -> Sequence:
     return Sequence(folder, description, pixels)
 
 
-class BlenderPixels(ForeignPixels):
+class BlenderPixels(Pixels):
     """Pixels of the capture in `folder`."""
 
     def __init__(self, folder: Path):

@@ -36,7 +36,7 @@ from gffe_cl.captures.sequence.description import FILE_NAME, Description, FrameE
 from gffe_cl.captures.sequence.engine_form import color_of, described_frame
 from gffe_cl.captures.sequence.exr import (
     ExrHeader,
-    ForeignPixels,
+    Pixels,
     decoded,
     place_of,
     placed,
@@ -524,7 +524,7 @@ def open_folder(folder: Path) -> Sequence:
     return Sequence(folder, description, pixels)
 
 
-class FolderPixels(ForeignPixels):
+class FolderPixels(Pixels):
     """Pixels of the capture in `folder`, as they are stored or, if it `converts`, in our conventions."""
 
     def __init__(self, folder: Path, made: _Capture):

@@ -24,7 +24,7 @@ from gffe_cl.captures.formats.capture import (
 )
 from gffe_cl.captures.sequence.description import FrameEntry
 from gffe_cl.captures.sequence.engine_form import static_motion
-from gffe_cl.captures.sequence.exr import ExrHeader, ExrPart, ForeignPixels, decoded, placed, read_header, require_parts
+from gffe_cl.captures.sequence.exr import ExrHeader, ExrPart, Pixels, decoded, placed, read_header, require_parts
 from gffe_cl.captures.sequence.reader import Sequence
 from gffe_cl.engine.core.errors import GffeError, within
 from gffe_cl.engine.frame.camera import Camera
@@ -87,7 +87,7 @@ def open_unreal(folder: Path) -> Sequence:
     return Sequence(folder, description, pixels)
 
 
-class UnrealPixels(ForeignPixels):
+class UnrealPixels(Pixels):
     """Pixels of the frames in `folder`."""
 
     def __init__(self, folder: Path):
@@ -96,6 +96,7 @@ class UnrealPixels(ForeignPixels):
 
     def rendered(self, entry, size):
         color, depth, motion, _ = self._raw(entry, size)
+        assert entry.render_camera is not None  # read from the header
         depth = self._depth(depth, entry.render_camera, self._meaning.along_rays)
         return color, depth, motion_from_unreal(motion, size, self._meaning.scale)
 

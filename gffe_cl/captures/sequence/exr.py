@@ -18,7 +18,7 @@ from collections.abc import Iterable
 from dataclasses import dataclass, field
 from itertools import chain
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import OpenEXR
@@ -544,38 +544,56 @@ OVERLAY_CHANNELS = {
 }
 
 
-class Pixels(Protocol):
-    """Pixels of frames, by their entries. `size` is (width, height) of the image. All methods raise GffeError that
-    names the file if it is missing or damaged. `notes`: warnings."""
+class Pixels:
+    """Pixels of frames, by their entries: of other formats, from their functions `rendered` and `color`. `size` is
+    (width, height) of the image. All methods raise GffeError that names the file if it is missing or damaged. `notes`:
+    warnings."""
 
-    notes: list[str]
+    def __init__(self):
+        self.notes: list[str] = []
 
     def read(
         self, entry: FrameEntry, size: tuple[int, int]
     ) -> tuple[np.ndarray, np.ndarray, np.ndarray | None, Overlays | None]:
         """Return color (H, W, 3) float16 or float32, depth (H, W) float32 and motion (H, W, 2) float32 or None of a
         rendered frame, in the project's conventions; and its overlays, if it has any."""
-        ...
+        return *self.rendered(entry, size), None
+
+    def rendered(self, entry: FrameEntry, size: tuple[int, int]) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
+        """Return color, depth and motion as `read` does."""
+        raise NotImplementedError
 
     def color(self, entry: FrameEntry, size: tuple[int, int]) -> np.ndarray:
         """Return linear RGB (H, W, 3), float16 or float32, of any frame."""
-        ...
+        raise NotImplementedError
 
     def channels(self, entry: FrameEntry, names: Iterable[str], size: tuple[int, int]) -> dict[str, np.ndarray]:
         """Return channels of our own form by name, (H, W) each."""
-        ...
+        names = tuple(names)
+        if set(names) <= set(COLOR):
+            found: dict[str, np.ndarray] = dict(zip(COLOR, np.moveaxis(self.color(entry, size), -1, 0), strict=True))
+        else:
+            color, depth, motion = self.rendered(entry, size)
+            found = {**dict(zip(COLOR, np.moveaxis(color, -1, 0), strict=True)), "Z": depth}
+            if motion is not None:
+                found |= dict(zip(MOTION, np.moveaxis(motion, -1, 0), strict=True))
+        for name in names:
+            if name not in found:
+                raise GffeError(f"{entry.file}: no channel '{name}' (the capture gives {', '.join(found)})")
+        return {name: found[name] for name in names}
 
     def exr_file(self, entry: FrameEntry) -> Path | None:
         """Return the frame's EXR file in the project's own format, None if there is none. Other sequences can link
         it."""
+        return None
 
 
-class OwnPixels:
+class OwnPixels(Pixels):
     """Pixels of our own form: one EXR file per frame, in `folder`."""
 
     def __init__(self, folder: Path):
+        super().__init__()
         self._folder = folder
-        self.notes = []
 
     def read(self, entry, size):
         path = self._folder / entry.file
@@ -606,41 +624,6 @@ class OwnPixels:
 
     def exr_file(self, entry):
         return self._folder / entry.file
-
-
-class ForeignPixels:
-    """Pixels of other formats, from their functions `rendered` and `color`."""
-
-    def __init__(self):
-        self.notes: list[str] = []
-
-    def read(self, entry, size):
-        return *self.rendered(entry, size), None
-
-    def rendered(self, entry, size) -> tuple[np.ndarray, np.ndarray, np.ndarray | None]:
-        """Return color, depth and motion as `read` does."""
-        raise NotImplementedError
-
-    def color(self, entry, size) -> np.ndarray:
-        """Return linear RGB (H, W, 3), float16 or float32, as `Pixels.color` does."""
-        raise NotImplementedError
-
-    def channels(self, entry, names, size):
-        names = tuple(names)
-        if set(names) <= set(COLOR):
-            found = dict(zip(COLOR, np.moveaxis(self.color(entry, size), -1, 0), strict=True))
-        else:
-            color, depth, motion = self.rendered(entry, size)
-            found = {**dict(zip(COLOR, np.moveaxis(color, -1, 0), strict=True)), "Z": depth}
-            if motion is not None:
-                found |= dict(zip(MOTION, np.moveaxis(motion, -1, 0), strict=True))
-        for name in names:
-            if name not in found:
-                raise GffeError(f"{entry.file}: no channel '{name}' (the capture gives {', '.join(found)})")
-        return {name: found[name] for name in names}
-
-    def exr_file(self, entry):
-        return None
 
 
 def has_motion(header: ExrHeader) -> bool:

@@ -6,6 +6,7 @@ from __future__ import annotations
 
 import json
 import os
+from bisect import bisect_left, bisect_right
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -21,7 +22,6 @@ from gffe_cl.captures.sequence.description import (
     KINDS,
     Description,
     FrameEntry,
-    Timeline,
     frame_label,
     parse_description,
     read_text,
@@ -85,6 +85,8 @@ def time_warnings(frames: list[FrameEntry], fps: float) -> list[str]:
 
 
 _MOST_AHEAD = 1024
+_TOLERANCE = 1 / 50  # of the interval of rendered frames
+_NEAR = 3  # tolerances: a frame that is missed by less was probably meant
 
 
 class Sequence:
@@ -120,7 +122,10 @@ class Sequence:
         self.fps, self.exposure, self.format = description.fps, description.exposure, description.format
         self.frames, self.unfinished = description.frames, description.unfinished
         self.known_cameras = list(description.known_cameras)
-        self._timeline = Timeline(self.frames + self.known_cameras, self.fps)
+        self._of_kind: dict[str, list[FrameEntry]] = {kind: [] for kind in (*KINDS, "camera_only")}
+        for entry in self.frames + self.known_cameras:
+            self._of_kind[entry.kind].append(entry)
+        self._times = {kind: [entry.time for entry in entries] for kind, entries in self._of_kind.items()}
         self._previous = dict(zip([e.file for e in self.rendered[1:]], self.rendered, strict=False))
         for entry in self.rendered:
             with within(str(path)):
@@ -140,37 +145,60 @@ class Sequence:
     @property
     def rendered(self) -> list[FrameEntry]:
         """Entries of the rendered frames, by time."""
-        return [entry for entry in self.frames if entry.kind == "rendered"]
+        return [*self._of_kind["rendered"]]
 
     @property
     def ground_truth(self) -> list[FrameEntry]:
         """Entries of the ground-truth frames, by time."""
-        return [entry for entry in self.frames if entry.kind == "ground_truth"]
+        return [*self._of_kind["ground_truth"]]
 
     @property
     def extrapolated(self) -> list[FrameEntry]:
         """Entries of the extrapolated frames, by time."""
-        return [entry for entry in self.frames if entry.kind == "extrapolated"]
+        return [*self._of_kind["extrapolated"]]
 
     def at(self, kind: str, time: float) -> FrameEntry | None:
         """Return the frame of `kind` at `time` (seconds), within 1/50 of the interval of rendered frames there. The
         result is None if there is no such frame. All matching of frames uses this method."""
-        return self._timeline.at(*_moment(kind, time))
+        kind, time = _moment(kind, time)
+        entries, times, slack = self._of_kind[kind], self._times[kind], self._tolerance(time)
+        found = entries[bisect_left(times, time - slack) : bisect_right(times, time + slack)]
+        return min(found, key=lambda entry: abs(entry.time - time), default=None)
+
+    def _tolerance(self, time: float) -> float:
+        """Return the seconds around `time` that count as the same time: 1/50 of the interval between the rendered
+        frames around it; after the last one, or before a reset, of the interval before that frame; else of 1/fps."""
+        rendered, times = self._of_kind["rendered"], self._times["rendered"]
+        k = max(bisect_right(times, time) - 1, 0)
+        interval = 1 / self.fps
+        if k + 1 < len(rendered) and not rendered[k + 1].reset:
+            interval = times[k + 1] - times[k]
+        elif 0 < k < len(rendered) and not rendered[k].reset:
+            interval = times[k] - times[k - 1]
+        return _TOLERANCE * interval
 
     def camera_at(self, time: float) -> Camera | None:
         """Return the display camera at `time` (seconds), matched as in `at`, from ground truth or a known camera; None
         without one."""
-        return self._timeline.camera_at(require_number(time, "sequence: time"))
+        known = self.at("ground_truth", time), self.at("camera_only", time)
+        cameras = [entry.display_camera or entry.render_camera for entry in known if entry is not None]
+        return next(filter(None, cameras), None)
 
     def nearest(self, kind: str, time: float) -> FrameEntry | None:
         """Return the frame of `kind` that is nearest in time, however far: for messages about a miss of `at`. None
         without any."""
-        return self._timeline.nearest(*_moment(kind, time))
+        kind, time = _moment(kind, time)
+        k = bisect_left(self._times[kind], time)
+        return min(self._of_kind[kind][max(k - 1, 0) : k + 1], key=lambda entry: abs(entry.time - time), default=None)
 
     def near_miss(self, kind: str, time: float) -> str | None:
         """Return a sentence if `at` finds nothing, but a frame is so near that it was probably meant: rounded times.
         Else None."""
-        return self._timeline.near_miss(*_moment(kind, time))
+        near = self.nearest(kind, time)
+        if near is None or self.at(kind, time) or abs(near.time - time) > _NEAR * self._tolerance(time):
+            return None
+        apart = 1e3 * abs(near.time - time)
+        return f"{near.file} at {near.time:.6g} s is {apart:.3g} ms from {time:.6g} s, more than 1/50 of an interval"
 
     @property
     def notes(self) -> list[str]:
@@ -182,7 +210,9 @@ class Sequence:
     def rendered_before(self, time: float) -> int | None:
         """Return the index in `rendered` of the last frame before `time`, None without one. A frame that is `at` it is
         not before it."""
-        return self._timeline.rendered_before(require_number(time, "sequence: time"))
+        time = require_number(time, "sequence: time")
+        k = bisect_right(self._times["rendered"], time - self._tolerance(time)) - 1
+        return k if k >= 0 else None
 
     def size_of(self, entry: FrameEntry) -> tuple[int, int]:
         """Return (width, height) of the images of `entry`, in pixels."""

@@ -371,7 +371,7 @@ def _uploadable(color: np.ndarray) -> np.ndarray:
     """Return `color` as native float16 or float32, C-contiguous. Where it is the first three channels of such an array,
     that array is returned and nothing is copied."""
     if color.dtype.itemsize > 4:
-        color = as_float32(color)
+        color = _rounded_to_odd(color)
     color = color.astype(color.dtype.newbyteorder("="), copy=False)
     whole = color.base
     if isinstance(whole, np.ndarray) and whole.shape == (*color.shape[:2], 4) and whole.flags.c_contiguous:
@@ -379,3 +379,15 @@ def _uploadable(color: np.ndarray) -> np.ndarray:
         if same_texels and color.ctypes.data == whole.ctypes.data:
             return np.require(whole, requirements="A")
     return np.require(color, requirements=["C", "A"])
+
+
+def _rounded_to_odd(values: np.ndarray) -> np.ndarray:
+    """Return float32 that rounds to the same float16 as the more precise `values`: rounded toward 0, with an odd
+    last bit unless exact. Finite values stay finite."""
+    with np.errstate(over="ignore", invalid="ignore"):
+        rounded = values.astype(np.float32)
+        too_large, inexact = np.abs(rounded) > np.abs(values), rounded != values
+    bits = rounded.view(np.uint32)
+    bits -= too_large
+    bits |= inexact
+    return rounded

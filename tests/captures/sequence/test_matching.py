@@ -1,13 +1,16 @@
 """Which frame is at a time, and the cameras of new frames that follow from it: one tolerance for everything."""
 
+from pathlib import Path
+
 import numpy as np
 import pytest
 from tiny_sequence import H, W, camera, pixels
 
 from gffe_cl.captures.offline.run import alphas_for, run_sequence
 from gffe_cl.captures.offline.source import Recorded
-from gffe_cl.captures.sequence import FrameEntry, SequenceWriter, named_channels, open_sequence
-from gffe_cl.captures.sequence.description import Timeline
+from gffe_cl.captures.sequence import FrameEntry, Sequence, SequenceWriter, named_channels, open_sequence
+from gffe_cl.captures.sequence.description import Description
+from gffe_cl.captures.sequence.exr import OwnPixels
 from gffe_cl.engine.options import Options
 from gffe_cl.viewer.engine.sources.recorded import RecordedSource
 
@@ -20,7 +23,8 @@ def entries(times, kind="rendered", resets=(0,)):
 
 def timeline(rendered, truth, resets=(0,)):
     frames = entries(rendered, resets=resets) + entries(truth, "ground_truth")
-    return Timeline(sorted(frames, key=lambda entry: entry.time), fps=10)
+    described = Description(W, H, 10.0, 1.0, sorted(frames, key=lambda entry: entry.time))
+    return Sequence(Path("none"), described, OwnPixels(Path("none")))
 
 
 def file_at(line, time, kind="ground_truth"):
