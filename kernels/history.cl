@@ -308,10 +308,11 @@ INLINE float depth_at(const float2 px_prev, const float z_static, const float z_
     const float fx = px_prev.x - 0.5f, fy = px_prev.y - 0.5f;
     const int x0 = (int)floor(fx), y0 = (int)floor(fy);
     const float u = fx - (float)x0, v = fy - (float)y0;
+    const bool are_inside = x0 >= 0 && y0 >= 0 && x0 < source_width - 1 && y0 < source_height - 1; /* all of them */
     float likeliest = 0.0f, z_met = -1.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
-        if (!inside(tap_x, tap_y, source_width, source_height)) continue;
+        if (!are_inside && !inside(tap_x, tap_y, source_width, source_height)) continue;
         const float z = depth_prev[tap_y * source_width + tap_x];
         const float off = fmin(fabs(z - z_static), fabs(z - z_own));
         const float likely = bilinear_weight(tap, u, v) * (tolerance - off);
@@ -324,7 +325,7 @@ INLINE float depth_at(const float2 px_prev, const float z_static, const float z_
     float sum = 0.0f, weight_sum = 0.0f;
     for (int tap = 0; tap < 4; ++tap) {
         const int tap_x = x0 + (tap & 1), tap_y = y0 + (tap >> 1);
-        if (!inside(tap_x, tap_y, source_width, source_height)) continue;
+        if (!are_inside && !inside(tap_x, tap_y, source_width, source_height)) continue;
         const float z = depth_prev[tap_y * source_width + tap_x];
         if (!plausible(z, z_met, DEPTH_TOLERANCE * z_met)) continue;
         const float weight = bilinear_weight(tap, u, v);
