@@ -14,7 +14,7 @@ PYTHON ?= python3
 WORKERS ?= 2
 VENV := .venv
 LOG := $(VENV)/pip.log
-PYTEST := $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder
+PYTEST := $(VENV)/bin/python -m pytest -n $(WORKERS) --dist loadfile --no-loadscope-reorder --max-worker-restart 0
 PIP := $(VENV)/bin/python -m pip install --disable-pip-version-check -c constraints.txt
 # What pip says is shown only if it fails.
 QUIETLY = >$(LOG) 2>&1 || { cat $(LOG) >&2; echo "error: pip failed, see above" >&2; exit 2; }

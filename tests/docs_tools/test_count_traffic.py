@@ -62,16 +62,22 @@ def test_kernels_are_told_by_their_names():
         assert len(names) == len(set(names))
 
 
+@pytest.fixture(scope="module")
+def loop():
+    table = json.loads(TABLE.read_text())
+    return scene_loop(open_device(), table["of"], *table["size"])
+
+
 @pytest.mark.long
 @pytest.mark.parametrize("lanes", [1, 8])
-def test_traffic_does_not_grow(lanes):
-    """Instructions by more than 2% of a kernel's, bytes by more than 5%."""
+def test_traffic_does_not_grow(loop, lanes):
+    """Instructions by more than 2% of a kernel's, bytes by more than 5%, and half of one per pixel: the scene is
+    rendered with the runtime's sines, and kernels that skip groups of pixels by what they see skip others."""
     if shutil.which("oclgrind") is None:
         assert not os.environ.get("CI"), "CI must have oclgrind"
         pytest.skip("oclgrind is not installed")
-    table = json.loads(TABLE.read_text())
-    recorded = table["lanes"][str(lanes)]
-    now = count_traffic.count(scene_loop(open_device(), table["of"], *table["size"]), lanes)
+    recorded = json.loads(TABLE.read_text())["lanes"][str(lanes)]
+    now = count_traffic.count(loop, lanes)
     assert set(now) == set(recorded), f"If that is meant to be: {RECORD}"
     for name, moved in now.items():
         old = recorded[name]
@@ -80,4 +86,4 @@ def test_traffic_does_not_grow(lanes):
             ("instructions", old["executed"], moved.executed, 1.02),
         ):
             told = f"{name}: {after:.1f} {what} per pixel, recorded {before:.1f}. If meant: {RECORD}"
-            assert after <= most * before + 0.05, told
+            assert after <= most * before + 0.5, told
