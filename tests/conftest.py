@@ -103,28 +103,35 @@ def gffe(monkeypatch, capsys):
     return call
 
 
-# Files that take longest, in order.
+# Files of tests that take longest, in order. The first builds the pipeline's programs, which takes PoCL two minutes:
+# those that a second process begins with need none of them, so that nothing is built twice.
 _LONGEST = (
     "test_recorded_bits",
-    "test_viewer_model",
-    "test_viewer_cli",
     "test_compilers",
     "test_mistakes",
+    "test_doctor",
+    "test_oclgrind",
+    "test_installed",
+    "test_count_traffic",
+    "test_scn",
+    "test_viewer_gui",
+    "test_viewer_sizes",
+    "test_live_examples",
+    "test_viewer_engine",
     "test_cli",
-    "test_order_of_groups",
-    "test_bench",
     "test_export",
     "test_export_example",
-    "test_doctor",
-    "test_scn",
-    "test_hostile_content",
-    "test_viewer_engine",
+    "test_selftest",
+    "test_background",
     "test_convolutions",
+    "test_viewer_model",
+    "test_order_of_groups",
+    "test_bench",
+    "test_hostile_content",
     "test_docs",
     "test_device",
-    "test_viewer_second",
+    "test_viewer_cli",
     "test_scenes",
-    "test_viewer_canvas",
     "test_eval",
 )
 

@@ -67,7 +67,7 @@ def test_source_distribution_runs_its_tests(built, tmp_path):
             for root in (source, ROOT)
         )
         assert held == {path for path in there if "__pycache__" not in path and not Path(path).name.startswith(".")}
-    chosen = ("tests/test_gone.py", "tests/test_docs.py", "tests/engine/frame/test_camera.py")
+    chosen = ("tests/test_gone.py", "tests/engine/frame/test_camera.py")
     command = [sys.executable, "-m", "pytest", "-n", "0", "-p", "no:cacheprovider", "-m", "not long", *chosen]
     environment = os.environ | {"PYTHONPATH": str(source)}
     done = subprocess.run(command, cwd=source, env=environment, capture_output=True, text=True, timeout=600)

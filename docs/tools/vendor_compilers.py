@@ -345,9 +345,16 @@ class Built:
     failure: str = ""
 
 
-def build_all(compiler: Compiler, only_first: bool = False) -> list[Built]:
-    """Build every program: for the first GPU in every form, for others in the form that most GPUs get. `only_first`:
-    for the first GPU in that form. Return all builds."""
+def build_all(compiler: Compiler, few: bool = False) -> list[Built]:
+    """Build every program: for the first GPU in every form, for others in the form that most GPUs get. `few`: in that
+    form for all, and for the first in the last form where it is a path of its own, without 64-bit atomics. Return all
+    builds."""
+
+    def chosen(source: str, gpu: str) -> list[tuple[str, dict[str, int]]]:
+        first, *others = forms(source).items()
+        if gpu != compiler.gpus[0] or (few and "INT64_ATOMICS" not in source):
+            return [first]
+        return [first, *(others[-1:] if few else others)]
 
     def built(name: str, source: str, form: str, options: dict[str, int], gpu: str) -> Built:
         with tempfile.TemporaryDirectory() as folder:
@@ -360,8 +367,8 @@ def build_all(compiler: Compiler, only_first: bool = False) -> list[Built]:
         (name, source, form, options, gpu)
         for name in FILES
         for source in [expand(f"{name}.cl")]
-        for gpu in compiler.gpus[: 1 if only_first else None]
-        for form, options in list(forms(source).items())[: 1 if only_first or gpu != compiler.gpus[0] else None]
+        for gpu in compiler.gpus
+        for form, options in chosen(source, gpu)
     ]
     with ThreadPoolExecutor(len(os.sched_getaffinity(0))) as pool:
         return list(pool.map(lambda one: built(*one), work))

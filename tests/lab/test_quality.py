@@ -4,7 +4,6 @@ gain on scenes that they were not trained on."""
 import numpy as np
 import pytest
 
-from gffe_cl.captures.scenes import SCENES
 from gffe_cl.engine.inference import network
 from gffe_cl.engine.options import Options
 from gffe_cl.engine.pipeline.pipeline import Pipeline
@@ -35,21 +34,12 @@ def psnr(pairs):
     return -10 * np.log10(squared.mean())
 
 
-# 0.3 dB below what PoCL and Intel's runtime both gave.
-FLOORS = {
-    "corridor": 33.1,
-    "plaza": 30.2,
-    "room": 35.3,
-    "forest": 35.9,
-    "gallery": 25.8,
-    "street": 27.0,
-    "factory": 28.0,
-    "courtyard": 26.7,
-}
+# 0.3 dB below what PoCL and Intel's runtime both gave. Bits of the other scenes are recorded (test_recorded_sequences).
+FLOORS = {"plaza": 30.2, "street": 27.0}
 
 
 @pytest.mark.long
-@pytest.mark.parametrize("name", SCENES)
+@pytest.mark.parametrize("name", FLOORS)
 def test_geometry_is_extrapolated_as_well_as_it_was(device, name):
     frames = extrapolated(device, name, 0, Options(shading_correction=False))
     assert psnr([(gae, truth) for gae, _, truth, _ in frames]) > FLOORS[name]
@@ -67,8 +57,6 @@ def shipped_weights(monkeypatch, default_model):
     ("name", "seed", "gain"),
     [
         ("courtyard", 1, 3.8),
-        pytest.param("factory", 1, 1.0, marks=pytest.mark.long),
-        pytest.param("gallery", 0, 0.5, marks=pytest.mark.long),
         pytest.param("street", 0, 0.12, marks=pytest.mark.long),
     ],
 )

@@ -1,4 +1,4 @@
-"""One table of mistakes: each kind has its name on three built-in scenes, and a format to paste that undoes it."""
+"""One table of mistakes: each kind has its name on a built-in scene, and a format to paste that undoes it."""
 
 import functools
 import json
@@ -24,15 +24,9 @@ from gffe_cl.engine.opencl.device import open_device
 
 SCENES = ["corridor", "forest", "plaza"]
 SIZE, COUNT, FPS = (256, 128), 8, 30
-# In a steady movement these look like sound frames, or like each other: then nothing is named.
-STEADY = {name for name in MISTAKES if "of the frame" in name}
-# Known limits. The camera of this clip hardly moves on: residuals of these are below 0.04 px, so the frames fit,
-# and late vectors differ by so little that the difference looks like steps.
-LIMITS = {
-    ("forest", "distance"): [],
-    ("forest", "saturated depth"): [],
-    ("forest", "vectors of the frame before"): ["misfit-at-end", "motion-quantized"],
-}
+# The cameras of the forest and of the plaza hardly move on: there these look like sound frames.
+FAINT = {"distance", "saturated depth", "depth of the frame before", "vectors of the frame before"}
+FAINT |= {"color of the frame before", "color of the frame after"}
 CODES = ["exact", "game", "engine", "half", "taa"]
 
 
@@ -49,9 +43,9 @@ def faults(diagnosis):
 
 
 def spread(cases, kept):
-    """Return (scene, case) of which only one scene for each of `kept` is not long, in turns."""
-    pairs = [(scene, case) for case in cases for scene in SCENES]
-    return few(pairs, *((SCENES[k % len(SCENES)], case) for k, case in enumerate(kept)))
+    """Return (scene, case), the scenes in turns; only cases that are `kept` are not long."""
+    pairs = [("corridor" if case in FAINT else SCENES[k % len(SCENES)], case) for k, case in enumerate(cases)]
+    return few(pairs, *(pair for pair in pairs if pair[1] in kept))
 
 
 SEEN = ["as of Unity", "zero", "logarithmic of 1 + z", "inverted", "field of view", "rows up", "jitter", "cut"]
@@ -66,12 +60,6 @@ def test_a_mistake_has_its_name_and_a_format_that_undoes_it(scene, name, tmp_pat
     bad = open_sequence(written(tmp_path / "bad", Kept(mistake.change(frames), exposure)))
     found = examine(bad, exposure)
     names = [one.name for one in found.findings]
-    if (scene, name) in LIMITS:
-        assert sorted(names) == LIMITS[scene, name] and found.found is None
-        return
-    if name in STEADY and names in ([], ["misfit-at-end"], ["ambiguous"]):
-        assert found.found is None
-        return
     assert sorted(names) == sorted(mistake.names), [str(one) for one in found.findings]
     assert all(str(one).startswith(f"{one.about}: ") for one in found.findings)
     if mistake.off is None:
@@ -113,9 +101,6 @@ def test_the_table_has_every_kind_of_finding():
 def test_what_no_format_undoes_is_not_named(scene, name):
     frames, exposure = good(scene)
     found = examine(Kept(UNEXPLAINED[name](frames), exposure), exposure)
-    if (scene, name) in LIMITS:
-        assert found.found is None and faults(found) == LIMITS[scene, name]
-        return
     assert found.found is None and found.faults
     assert set(faults(found)) <= {"unexplained", "unexplained-frame"}, [str(one) for one in found.findings]
     assert all("no known change explains it" in str(one) for one in found.faults)
@@ -128,10 +113,7 @@ def test_bits_of_floats_are_no_logarithms():
     assert fault.name == "unexplained"
 
 
-SOUND = [(scene, code) for scene in SCENES for code in CODES]
-
-
-@pytest.mark.parametrize(("scene", "code"), few(SOUND, ("plaza", "exact"), ("corridor", "engine")))
+@pytest.mark.parametrize(("scene", "code"), spread(CODES, ["exact", "engine"]))
 def test_sound_sequences_have_no_fault(scene, code):
     """As engines store them, too: vectors of games are dilated, which is named, and nothing else."""
     loaded, encoding = load_scene(scene, 5), Encoding.parse(code)
@@ -145,10 +127,9 @@ def test_sound_sequences_have_no_fault(scene, code):
 
 
 @pytest.mark.parametrize("name", few(list(SITUATIONS), "wipers", "bars"))
-@pytest.mark.parametrize("seed", [0, 1])
-def test_situations_have_no_fault(name, seed):
+def test_situations_have_no_fault(name):
     """Among them a cab that fills half the picture and travels with the camera, and bars of one color."""
-    scene = load_scene(name, seed)
+    scene = load_scene(name)
     frames = list(SceneFrames(SceneRenderer(open_device(), scene, 192, 108)).sequence(COUNT, FPS))
     found = examine(Kept(frames, scene.exposure), scene.exposure)
     assert [one.name for one in found.findings] in ([], ["still-camera"])
@@ -174,7 +155,7 @@ def jittered(scene):
     return list(source.sequence(COUNT, FPS))
 
 
-@pytest.mark.parametrize(("scene", "name"), spread(JITTERED, JITTERED))
+@pytest.mark.parametrize(("scene", "name"), spread(JITTERED, ["taken out of negated vectors", "in cameras"]))
 def test_jitter_in_cameras_and_vectors_is_written_as_it_was_diagnosed(gffe, scene, name, tmp_path):
     (frames, exposure), (case, fields, keys) = good(scene), JITTERED[name]
     of_color, of_cameras, is_declared, sign = case

@@ -15,7 +15,6 @@ import pytest
 from vendor_compilers import (
     COMPILERS,
     FILES,
-    Amd,
     BuildFailed,
     NotFound,
     argument_bytes,
@@ -71,9 +70,9 @@ def test_clang_accepts_it_without_a_warning(name):
     source = expand(f"{name}.cl")
     # Of a story's file only the kernel that tells it has a place for what is told.
     warnings = (*WARNINGS, "-Wno-missing-field-initializers") if name.startswith("stories/") else WARNINGS
-    for standard in STANDARDS:
-        for options in variants(source):
-            clang(source, standard, *warnings, "-Xclang", EXTENSIONS, *options, "-fsyntax-only")
+    first, *others = variants(source)
+    for standard, options in (*((standard, first) for standard in STANDARDS), *(("CL1.2", each) for each in others)):
+        clang(source, standard, *warnings, "-Xclang", EXTENSIONS, *options, "-fsyntax-only")
 
 
 def test_a_warning_is_an_error():
@@ -282,9 +281,9 @@ def compiler_of(kind):
 
 
 @functools.cache
-def built(kind, only_first=False):
+def built(kind):
     """All programs as a vendor's compiler builds them."""
-    return build_all(compiler_of(kind), only_first)
+    return build_all(compiler_of(kind), few=True)
 
 
 def failures(programs):
@@ -298,16 +297,11 @@ def test_forms_of_gpus():
     assert list(forms("__kernel void f() { }")) == [""]
 
 
-def test_amd_links_every_program():
-    """In the form that most GPUs get."""
-    assert failures(built(Amd, only_first=True)) == {}
-
-
 @pytest.mark.long
 @pytest.mark.parametrize("kind", COMPILERS, ids=lambda kind: kind.vendor)
-def test_every_form_of_every_program_builds(kind):
+def test_every_program_builds(kind):
     programs = built(kind)
-    assert len(programs) >= 2 * len(FILES)
+    assert len(programs) > len(FILES)
     assert failures(programs) == {}
 
 

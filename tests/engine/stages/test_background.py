@@ -204,15 +204,15 @@ def test_any_number_of_levels(device, levels):
     assert np.isfinite(out.numpy("color")).all()
 
 
-@pytest.mark.parametrize(("levels", "int64"), [(0, None), (1, None), (2, False), (4, None)])
-def test_lent_memory_holds_nothing_that_is_needed(device, levels, int64):
+@pytest.mark.parametrize(("levels", "lanes"), [(0, 8), (1, 8), (2, 1), (4, 8)], indirect=["lanes"])
+def test_lent_memory_holds_nothing_that_is_needed(device, levels, lanes):
     """Whatever lies in transient buffers after `submit`, also after a reset: two frames made from each are the same,
     and so is what the background remembers."""
     bars = [Rect((x, 0, 4), (0.12, 9), frequency=0.2, velocity=(3 * (x > 2), 0, 0)) for x in np.arange(-4, 8, 0.8)]
     scene, cams = Rects([WALL, *bars]), [camera(W, H, (0.09 * k, 0, 0)) for k in range(8)]
 
     def made(filler):
-        pipeline, seen = Pipeline(device, W, H, Options(levels=levels), int64_atomics=int64), []
+        pipeline, seen = Pipeline(device, W, H, Options(levels=levels)), []
         for k, cam in enumerate(cams):
             previous = (cams[k - 1], (k - 1) / 30) if k % 5 else None
             pipeline.submit(scene.frame(cam, k / 30, W, H, previous, reset=previous is None))

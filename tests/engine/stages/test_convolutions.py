@@ -6,6 +6,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from network_stages import made_before_the_device_begins, made_stages
+from parameters import few
 from scn_models import integer_model
 from synthetic import Rect, Rects, camera
 
@@ -202,11 +203,7 @@ def files_of(folder):
     return {path.name: path.read_bytes() for path in Path(folder).iterdir()}
 
 
-SCENES = ["gallery", "shadows"]
-MORE = ["courtyard", "fan", "street", "factory", "plaza", "forest"]
-
-
-@pytest.mark.parametrize("scene", [*SCENES, *(pytest.param(name, marks=pytest.mark.long) for name in MORE)])
+@pytest.mark.parametrize("scene", few(["gallery", "shadows", "courtyard"], "gallery"))
 def test_runs_write_equal_files(device, gffe, default_model, monkeypatch, tmp_path, scene):
     """`gffe run` with kernels and with onnxruntime, in both forms of all other kernels."""
     monkeypatch.setattr(inference, "default_model", default_model)

@@ -7,26 +7,12 @@ import sys
 from pathlib import Path
 
 import pytest
+from parameters import few
 
 pytestmark = pytest.mark.slow
 
 
-LONG = pytest.mark.long
-
-
-@pytest.mark.parametrize(
-    "case",
-    [
-        pytest.param("int64", marks=LONG),
-        pytest.param("int32", marks=LONG),
-        pytest.param("sizes", marks=LONG),
-        pytest.param("shading", marks=LONG),
-        pytest.param("convolutions", marks=LONG),
-        pytest.param("upload", marks=LONG),
-        "dilate-splat",
-        pytest.param("scene", marks=LONG),
-    ],
-)
+@pytest.mark.parametrize("case", few(["int64", "int32", "upload", "dilate-splat", "scene"], "dilate-splat"))
 def test_oclgrind_reports_nothing(case, tmp_path):
     if shutil.which("oclgrind") is None:
         assert not os.environ.get("CI"), "CI must have oclgrind"

@@ -56,11 +56,10 @@ def bits(pipeline):
     }
 
 
-@pytest.mark.parametrize("int64", [True, pytest.param(False, marks=pytest.mark.long)])
-def test_the_order_of_work_groups_changes_no_bit(device, monkeypatch, int64):
-    int64 = int64 and device.int64_atomics
-    expected = bits(run(device, W, H, OPTIONS, int64).pipeline)
+@pytest.mark.parametrize("lanes", [pytest.param(8, marks=pytest.mark.long), 1], indirect=True)
+def test_the_order_of_work_groups_changes_no_bit(device, lanes, monkeypatch):
+    expected = bits(run(device, W, H, OPTIONS).pipeline)
     pieces = in_shuffled_pieces(monkeypatch)
-    found = bits(run(device, W, H, OPTIONS, int64).pipeline)
+    found = bits(run(device, W, H, OPTIONS).pipeline)
     assert all(min(pieces[name], default=0) > 1 for name in SHARING), pieces
     assert [name for name in expected if found[name] != expected[name]] == []
