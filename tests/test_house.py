@@ -106,13 +106,13 @@ def absolute(module, path, node):
 
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
-    "gffe_cl": 38_417,
+    "gffe_cl": 38_153,
     "viewer": 12_648,
-    "kernels": 10_685,
-    "tests": 29_052,
-    "docs/tools": 4_371,
+    "kernels": 10_699,
+    "tests": 28_975,
+    "docs/tools": 4_385,
     "docs/examples": 1_884,
-    "docs/*.md": 4_495,
+    "docs/*.md": 4_493,
 }
 MOST_MODULES = 204
 _CODE = {".py", ".pyi", ".c", ".h", ".cl", ".js", ".frag", ".vert", ".cpp"}
