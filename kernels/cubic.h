@@ -53,10 +53,10 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
         F total, low, high, above, below, left; /* sums of the outer taps on each side */                              \
         _Pragma("unroll") for (int n = 0; n < 4; ++n) { /* the inner columns first, which need most registers */       \
             const int tx = n < 2 ? n + 1 : 3 * (n - 2);                                                                \
-            const F b = load(rows[1] + columns[tx], image), c = load(rows[2] + columns[tx], image);                    \
+            const F b = load(rows[1], columns[tx], image), c = load(rows[2], columns[tx], image);                      \
             F column = of(w->y[1], k) * b + of(w->y[2], k) * c;                                                        \
             if (n < 2) {                                                                                               \
-                const F a = load(rows[0] + columns[tx], image), d = load(rows[3] + columns[tx], image);                \
+                const F a = load(rows[0], columns[tx], image), d = load(rows[3], columns[tx], image);                  \
                 column += of(w->y[0], k) * a + of(w->y[3], k) * d;                                                     \
                 above = n == 0 ? a : above + a;                                                                        \
                 below = n == 0 ? d : below + d;                                                                        \
@@ -88,8 +88,9 @@ INLINE void cubic_between(const Floats u, const Floats v, const Sharpening sharp
 
 /* Of the pixel of lane k; and of those of part k, whose taps lie in rows. */
 #define OF_LANE(v, k) ((float4)(float_of(&(v), k)))
-#define load_run(i, image) load_texels(0, (image) + 4 * (i))
-DEFINE_CUBIC(float4, __global const half *, load_texel, OF_LANE, any, cubic_of_lane)
+#define load_tap(row, column, image) load_texel(column, (image) + 4 * (row))
+#define load_run(row, column, image) load_texels(0, (image) + 4 * (row) + 4 * (column))
+DEFINE_CUBIC(float4, __global const half *, load_tap, OF_LANE, any, cubic_of_lane)
 #if LANES == 8
 DEFINE_CUBIC(Texels, __global const half *, load_run, OF_TEXELS, ANY_TEXELS, cubic_of_run)
 #else

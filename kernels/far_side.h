@@ -11,11 +11,11 @@ INLINE float inverse_of(const float z) { return isinf(z) ? 0.0f : divide(1.0f, z
 
 /* What a direction from a hole meets: whether it `meets` a pixel beside the hole, the pixel, its code, inverse depth
    and 1 / distance (1/px); whether it is a mover's; continued to the hole, whether it lies outside of the rendered
-   image, and whether it can be there as a static surface. */
+   image, and whether it can be there as a static surface. `support`: of surface_behind (holes.cl). */
 typedef struct {
     bool meets, is_of_mover, is_outside, can_be_there;
     int px;
-    float closeness, inverse, code_x, code_y, code_z;
+    float closeness, inverse, code_x, code_y, code_z, support;
 } Side;
 
 /* Lets a direction from the hole `dst` meet a pixel, t steps of d away ... */
@@ -41,7 +41,7 @@ INLINE Side look(const int dst_x, const int dst_y, const int k, const int reach,
     const int offset = d.y * width + d.x;
     const int t =
         first_other(dst, offset, steps_within(reach, d, dst_x, dst_y, width, frame->target_height), mask, hole);
-    Side side = {t != 0, false, false, false, dst, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f};
+    Side side = {t != 0, false, false, false, dst, 0.0f, INFINITY, 0.0f, 0.0f, 0.0f, 0.0f};
     if (t != 0) meet(&side, dst, t, d, frame);
     return side;
 }

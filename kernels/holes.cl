@@ -78,17 +78,22 @@ INLINE bool can_be_at(const float3 px_source, __constant Frame *frame, __global 
     return !INVALID_DEPTH(shown) && !(px_source.z < IN_FRONT * shown);
 }
 
+/* The sum of inverse distances of the surface that direction j meets, if that can be there. */
+INLINE float support_of(const int j, __local const Side *sides) {
+    float sum = 0.0f;
+    for (int k = 0; sides[j].can_be_there && k < DIRECTIONS; ++k)
+        if (sides[k].can_be_there && is_as_far(sides[j].inverse, sides[k].inverse)) sum += sides[k].closeness;
+    return sum;
+}
+
 /* The directions that meet the surface behind a disocclusion. Candidates are static surfaces that, continued into the
-   disocclusion, can be there in the rendered frame. Of these, the surface with the largest sum of inverse distances
-   counts; without candidates the far side. */
+   disocclusion, can be there in the rendered frame. Of these, the one with the most support counts; without candidates
+   the far side. */
 INLINE int surface_behind(__local const Side *sides) {
     float most = 0.0f, inverse = 0.0f;
     for (int j = 0; j < DIRECTIONS; ++j) {
-        float sum = 0.0f;
-        for (int k = 0; sides[j].can_be_there && k < DIRECTIONS; ++k)
-            if (sides[k].can_be_there && is_as_far(sides[j].inverse, sides[k].inverse)) sum += sides[k].closeness;
-        if (!(sum > most)) continue;
-        most = sum;
+        if (!(sides[j].support > most)) continue;
+        most = sides[j].support;
         inverse = sides[j].inverse;
     }
     if (!(most > 0.0f)) return far_side(sides);
@@ -256,6 +261,8 @@ INLINE void look_around(const uint hole, __constant Frame *frame, const Images f
     }
     for (int k = item % TEAM; looks_past && k < DIRECTIONS; k += TEAM)
         if (sides[k].meets && !sides[k].can_be_there) look_past(hole_x, hole_y, k, reach, frame, f, &sides[k]);
+    WAIT_FOR_TEAM();
+    for (int k = item % TEAM; is_open && k < DIRECTIONS; k += TEAM) sides[k].support = support_of(k, sides);
     WAIT_FOR_TEAM();
 }
 

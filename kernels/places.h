@@ -38,7 +38,11 @@ INLINE Floats floats_beside(__global const float *plane, const Places p, const i
     return gather_floats(plane, stepped(p, step));
 }
 
-INLINE Floats floats_at(__global const float *plane, const Places p) { return floats_beside(plane, p, 0); }
+/* The places lie in the image. */
+INLINE Floats floats_at(__global const float *plane, const Places p) {
+    if (p.one) return load_floats(0, plane + p.first);
+    return p.two ? floats_of_runs(plane, p, 0) : gather_floats(plane, p.at);
+}
 
 INLINE Bytes bytes_at(__global const uchar *plane, const Places p) {
     return p.one ? load_bytes(0, plane + p.first) : gather_bytes(plane, p.at);

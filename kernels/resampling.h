@@ -19,16 +19,15 @@ INLINE Sharpening sharpening(const float sharpness, const float white) {
 typedef struct {
     __global const half *color, *codes;
     __global const uchar *dynamic_mask;
+    __global const float *sharpness; /* of rendered frames (sharpness.h), as far as it `is_measured` */
     float code_offset;
-    Sharpening sharpening;
+    bool is_measured;
 } Rendered;
 
-/* `measured`: the sharpness of rendered frames (sharpness.h), if any is. */
 INLINE Rendered rendered_of(__constant Frame *frame, __global const half *color, __global const half *codes,
-                            __global const uchar *dynamic_mask, __global const float *measured) {
-    const Rendered shown = {
-        color, codes, dynamic_mask, frame->code_offset,
-        sharpening(frame->sharpness && frame->has_previous ? *measured : 0.0f, display_white(frame->code_offset))};
+                            __global const uchar *dynamic_mask, __global const float *sharpness) {
+    const bool is_measured = frame->sharpness && frame->has_previous;
+    const Rendered shown = {color, codes, dynamic_mask, sharpness, frame->code_offset, is_measured};
     return shown;
 }
 
@@ -72,7 +71,8 @@ INLINE void samples_at(const Ints src, const Floats dx, const Floats dy, const i
 INLINE void resample_lanes(const Samples s, const Ints use, const int source_width, const Rendered shown, const int dst,
                            __global half *out_color) {
     Cubic cubic;
-    cubic_between(s.u, s.v, shown.sharpening, &cubic);
+    cubic_between(s.u, s.v, sharpening(shown.is_measured ? *shown.sharpness : 0.0f, display_white(shown.code_offset)),
+                  &cubic);
     const int columns[4] = {-1, 0, 1, 2};
     const Ints exact = (s.tap == s.src) & (s.u == 0.0f) & (s.v == 0.0f), whole = !exact & (s.alike == ALL_ALIKE);
     const Ints in_row = use & (s.tap == ROWS_OF_PARTS(s.tap));

@@ -32,7 +32,8 @@ INLINE float luma(const int i, const Shown image) {
 
 #define OF_SAMPLE(v, k) float_of(&(v), k)
 #define IS_TRUE(condition) (condition)
-DEFINE_CUBIC(float, const Shown, luma, OF_SAMPLE, IS_TRUE, cubic_luma)
+#define luma_at(row, column, image) luma((row) + (column), image)
+DEFINE_CUBIC(float, const Shown, luma_at, OF_SAMPLE, IS_TRUE, cubic_luma)
 
 /* Adds a sample of a row to `sums`, by EXPLAINED and CHANGED. */
 INLINE void compare_sample(const int column, const int row, const int width, const int height, const float code_offset,

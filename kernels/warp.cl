@@ -117,18 +117,24 @@ INLINE void splat_fragments(const Fragments from, const Winners to, const int sr
     const Ints middle = to_ints(lands ? own_y : none) * from.target_width + to_ints(lands ? own_x : none);
     int tiles = 0; /* to each side */
     while (ANY(lands & (most > (float)(3 * tiles + 1)))) ++tiles;
+    /* All that is covered lies in the boxes, unless these are cut off. */
+    const bool all_within = crack_closing && tiles == 0
+                            && ALL(!lands | ((x >= 1.0f) & (y >= 1.0f) & (x < width - 1.0f) & (y < height - 1.0f)));
     for (int down = -3 * tiles; down <= 3 * tiles; down += 3)
         for (int across = -3 * tiles; across <= 3 * tiles; across += 3) {
             const Floats tile_x = own_x + (float)across, tile_y = own_y + (float)down;
-            Ints covers = covered_tile(tile_x, tile_y, at, f) & tile_within(tile_x, tile_y, box);
+            Ints covers = covered_tile(tile_x, tile_y, at, f);
+            if (!all_within) covers &= tile_within(tile_x, tile_y, box);
             if (across == 0 && down == 0) covers |= own ? (Ints)(16) : (Ints)(0);
             offer_tile(lands ? covers : (Ints)(0), middle + (down * from.target_width + across), z, src,
                        from.target_width, to, pass);
         }
 }
 
-/* Whether any of the target blocks x0, y0, x1, y1 is splatted. */
-INLINE bool any_splatted(const int4 reached, const int target_width, __global const uchar *block_class) {
+/* Whether any of the target blocks that a source block reaches is splatted. */
+INLINE bool any_splatted(const int block, const int target_width, __global const short4 *reach,
+                         __global const uchar *block_class) {
+    const int4 reached = convert_int4(reach[block]);
     for (int y = reached.y; y <= reached.w; ++y)
         for (int x = reached.x; x <= reached.z; ++x)
             if (block_class[y * block_columns(target_width) + x] == SPLATTED) return true;
@@ -137,25 +143,35 @@ INLINE bool any_splatted(const int4 reached, const int target_width, __global co
 
 /* LANES fragments per work-item; those that reach only blocks that are warped backward are left out. Finds layers for
    silhouettes, too, which need the same positions. Empties the lists of open and of soft pixels. */
-WIDE __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
-                         __global const uchar *links, __global const float *target_position,
-                         __global const short4 *reach, __global const uchar *block_class, __global const uchar *smooth,
-                         __global const half *codes, __global const uchar *level_state,
-                         __global const float *level_depth, __global const uint *level_color, __global Key *keys,
-                         __global uint *winners, __global uchar *layer, __global uint *behind, __global uchar *share,
-                         __global uchar *marked, __global uint *open, __global uint *soft) {
+LISTS __kernel void splat(__constant Frame *restrict frame, const int pass, __global const float *depth,
+                          __global const uchar *links, __global const float *target_position,
+                          __global const short4 *reach, __global const uchar *block_class, __global const uchar *smooth,
+                          __global const half *codes, __global const uchar *level_state,
+                          __global const float *level_depth, __global const uint *level_color, __global Key *keys,
+                          __global uint *winners, __global uchar *layer, __global uint *behind, __global uchar *share,
+                          __global uchar *marked, __global uint *open, __global uint *soft) {
     const int width = frame->source_width, height = frame->source_height;
-    if (get_global_id(0) == 0 && get_global_id(1) == 0) open[0] = soft[0] = 0;
+    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
+    if (src_x == 0 && src_y == 0) open[0] = soft[0] = 0;
+
+    /* GPUs ask once for all pixels of a block whether it is splatted. */
+    const bool of_blocks = frame->blocks && frame->crack_closing, is_pixel = src_x < width && src_y < height;
+    const int block = block_of(src_x, src_y, width);
+    const int of_group = get_local_id(1) / BLOCK_HEIGHT * BLOCK_HEIGHT + get_local_id(0) / BLOCK_WIDTH;
+    __local uchar splatted[2 * BLOCK_HEIGHT];
+    if (LANES == 1) {
+        if (of_blocks && is_pixel && src_x % BLOCK_WIDTH == 0 && src_y % BLOCK_HEIGHT == 0)
+            splatted[of_group] = any_splatted(block, frame->target_width, reach, block_class);
+        barrier(CLK_LOCAL_MEM_FENCE);
+    }
+    if (!is_pixel) return;
     const Fragments from = fragments_of(frame, depth, target_position, links);
     const Winners to = {keys, winners};
-    const int src_x = get_global_id(0) * LANES, src_y = get_global_id(1), src = src_y * width + src_x;
-    if (src_x >= width || src_y >= height) return;
     const Memory memory = {frame->levels > 0, frame->code_offset, level_state, level_depth, level_color};
     const FoundLayers layers = {.layer = layer, .behind = behind, .share = share, .marked = marked};
     if (frame->softens && pass == 0)
         find_layers(src_x, src_y, frame, depth, links, smooth, target_position, codes, memory, layers);
-    if (frame->blocks && frame->crack_closing
-        && !any_splatted(convert_int4(reach[block_of(src_x, src_y, width)]), frame->target_width, block_class))
+    if (of_blocks && !(LANES == 1 ? splatted[of_group] : any_splatted(block, frame->target_width, reach, block_class)))
         return;
     splat_fragments(from, to, src, width - src_x, frame->crack_closing, pass);
 }
@@ -232,8 +248,8 @@ INLINE void step_off_silhouettes(const Fragments from, const Found won, const Pl
     const Ints within = (won.x + x >= 0) & (won.x + x < from.width) & (won.y + y >= 0) & (won.y + y < from.height);
     const Ints along =
         within
-        & (deviation(floats_at(from.target_position, there), floats_at(from.target_position + from.plane, there),
-                     to_floats(x), to_floats(y), at, f)
+        & (deviation(floats_beside(from.target_position, there, 0),
+                     floats_beside(from.target_position + from.plane, there, 0), to_floats(x), to_floats(y), at, f)
            <= SAME_MOTION);
     *step_x += along ? to_floats(x) : none;
     *step_y += along ? to_floats(y) : none;
@@ -250,6 +266,7 @@ INLINE Ints taps_alike(const Fragments from, const Found won, const Floats ox, c
     Ints alike = (Ints)(0);
 #pragma unroll
     for (int k = 0; k < 8; ++k) {
+        if (k == 4 && !ANY(alike == 0xF)) break; /* corners only count where all others are alike */
         const int dx = k < 4 ? (k & 1) : 3 * (k & 1) - 1, dy = k < 4 ? (k >> 1) : 3 * ((k >> 1) & 1) - 1;
         const Floats there_x = floats_beside(from.target_position, base, dy * width + dx),
                      there_y = floats_beside(from.target_position + from.plane, base, dy * width + dx);
@@ -340,6 +357,7 @@ INLINE void resolve_block(const Fragments from, const Rendered shown, const NewF
     const Ints src = src_y * from.width + src_x;
     Places places;
     find_places(src, from.width + 1, from.plane, &places);
+    if (LANES == 1) places.one = true; /* its neighbors are in the image */
 
     Cross z;
     load_cross(from.target_position + 2 * from.plane, from.width, places, &z);

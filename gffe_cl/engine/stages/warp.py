@@ -93,7 +93,7 @@ class BackwardBlocks(NearestStage):
     kernels = (
         Kernel(
             "find_reach",
-            "source_blocks",
+            "source",
             {
                 "depth": "rendered.depth",
                 "links": "connectivity.links",
@@ -106,6 +106,7 @@ class BackwardBlocks(NearestStage):
                 "reach": "backward_blocks.reach",
                 "reached_by": "backward_blocks.reached_by",
             },
+            step=("LANES", "BLOCK_HEIGHT"),
         ),
         Kernel(
             "classify_blocks",
