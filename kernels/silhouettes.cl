@@ -275,11 +275,9 @@ INLINE Ints find_soft(const int dst_x, const int dst_y, const Source s, const La
 INLINE void soften_pixels(const Source s, const Layers l, const Shown f, __global const uchar *marked,
                           __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
                           __local uint *shared) {
-    const int item = get_local_id(1) * get_local_size(0) + get_local_id(0);
-    const int group_x = get_global_id(0) - get_local_id(0), group_y = get_global_id(1) - get_local_id(1);
-    const int block = item / (BLOCK_WIDTH * BLOCK_HEIGHT), of_block = item % (BLOCK_WIDTH * BLOCK_HEIGHT);
-    const int x = (block & 1) * BLOCK_WIDTH + of_block % BLOCK_WIDTH,
-              y = (block >> 1) * BLOCK_HEIGHT + of_block / BLOCK_WIDTH;
+    const int column = get_local_id(0), row = get_local_id(1), item = 16 * row + column;
+    const int group_x = get_group_id(0) * 16, group_y = get_group_id(1) * 8;
+    const int x = 4 * (row & 2) + column % 8, y = (row & 4) + 2 * (row & 1) + column / 8;
     const int dst_x = group_x + x, dst_y = group_y + y;
     if (item == 0) shared[0] = 0;
     barrier(CLK_LOCAL_MEM_FENCE);

@@ -319,7 +319,6 @@ EXCESSES = {
     ("projection.fill_hidden", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("projection.fill_hidden", "dg2-g10", "SIMD8"): ("a walk over few pixels", ""),
     ("holes.fill_far_side", "sm_86", "registers"): ("a walk over few pixels", ""),
-    ("holes.fill_far_side", "dg2-g10", "SIMD8"): ("corrected roots of three channels", "libigc2"),
     ("warp.splat", "sm_86", "registers"): ("silhouettes ask the background; two registers too many", ""),
     ("silhouettes.soften", "sm_86", "registers"): ("tests of the border once, which SIMD16 on Intel's needs", ""),
     ("prediction.predict_positions", "dg2-g10", "SIMD8"): ("most see no mover", ""),
