@@ -45,8 +45,8 @@ def without_looks(folder):
 
 def stages(device, int64):
     """All kernels of the pipeline, in the path with 64-bit atomics or, where they differ, the one without."""
-    most = Options(history=3, order=2, shading_inputs=True, upscale=1)
-    for options in (*(most,) * int64, Options(), Options.preset("performance")):
+    most = Options(history=3, order=2, shading_inputs=True, upscale=1, scn_provider="cpu")  # kernels: `convolutions`
+    for options in (*(most,) * int64, Options(scn_provider="cpu"), Options.preset("performance")):
         case = run(device, WIDTH, HEIGHT, options, int64, target=(WIDTH - 3, HEIGHT + 5))
         case.made.numpy("color")
         case.pipeline.present().numpy("motion")
