@@ -39,7 +39,8 @@ def appearance(gui: Gui):
         text, *grabs = (_luminance(style.color_(of)) for of in _ON_SLIDERS)
         return min((max(text, grab) + 0.05) / (min(text, grab) + 0.05) for grab in grabs)
 
-    _, top, _, height = gui.area("//Modules/choice/###hole filling")
+    gui.ctx.scroll_to_top("//Modules")  # cases before may have scrolled
+    _, top, _, height = gui.area("//Modules/rendering window")  # the last module
     assert gui.on_screen(lambda: imgui.internal.find_window_by_name("Inspector").pos.y) > top + height
     assert bright() < 80 and gui.on_screen(contrast) > 4.5
     gui.key(KEY.t, CTRL)

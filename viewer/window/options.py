@@ -3,8 +3,8 @@ error, with their quality against ground truth."""
 
 from __future__ import annotations
 
-import math
 from functools import partial
+from itertools import zip_longest
 
 from imgui_bundle import icons_fontawesome_6 as icons
 from imgui_bundle import imgui
@@ -38,24 +38,21 @@ def draw_modules(app: App) -> None:
 
 
 def _modules(model: Model, options: dict[str, Option]) -> None:
-    """Draw the switches of modules, in two columns if they fit."""
-    listed, spacing = list(options.items()), imgui.get_style().item_spacing
-    first = listed[: math.ceil(len(listed) / 2)]
-    column = _width(first) + spacing.x
-    if column + _width(listed[len(first) :]) > imgui.get_content_region_avail().x:
-        first = listed
-    left = imgui.get_cursor_pos_x()
-    for row, module in enumerate(first):
-        _module(model, *module)
-        for beside in listed[len(first) :][row : row + 1]:
-            imgui.same_line(left + column)
-            _module(model, *beside)
-
-
-def _width(listed: list[tuple[str, Option]]) -> float:
-    """Return the width of the options' switches below each other, pixels."""
+    """Draw the switches of modules, in two columns if there is a place to divide them so that both have room."""
+    listed, spacing = list(options.items()), imgui.get_style().item_spacing.x
     box = imgui.get_text_line_height() + imgui.get_style().item_inner_spacing.x + 2
-    return box + max(imgui.calc_text_size(option.label).x for _, option in listed)
+    widths = [box + imgui.calc_text_size(option.label).x for option in options.values()]
+    room, count, left = imgui.get_content_region_avail().x - spacing, len(listed), imgui.get_cursor_pos_x()
+    places = [at for at in range(1, count) if max(widths[:at]) + max(widths[at:]) <= room]
+    rows = min(places, key=lambda at: abs(2 * at - count), default=count)
+    for first, second in zip_longest(listed[:rows], listed[rows:]):
+        if first:
+            _module(model, *first)
+        if first and second:
+            imgui.same_line()
+        if second:
+            imgui.set_cursor_pos_x(left + max(widths[:rows]) + spacing)
+            _module(model, *second)
 
 
 def _module(model: Model, name: str, option: Option) -> None:
