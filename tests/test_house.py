@@ -107,9 +107,9 @@ def absolute(module, path, node):
 # Lines that a wing may have. A change that removes lines lowers its number; one that adds lines removes others.
 LEDGER = {
     "gffe_cl": 38_154,
-    "viewer": 12_648,
+    "viewer": 12_645,
     "kernels": 10_775,
-    "tests": 28_974,
+    "tests": 28_975,
     "docs/tools": 4_385,
     "docs/examples": 1_884,
     "docs/*.md": 4_493,
