@@ -277,11 +277,15 @@ class Canvas:
         self._targets[name] = self.ctx.framebuffer([texture])
         return self._targets[name]
 
-    def draw_into(self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size) -> None:
-        """Draw `view` at `size` into a window, whose first row is the bottom one: the upper left corner at `origin`."""
+    def draw_into(
+        self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size, alone: bool = False
+    ) -> None:
+        """Draw `view` at `size` into a window, whose first row is the bottom one: the upper left corner at `origin`.
+        `alone`: the background stays as it is."""
         corner = origin[0], window.height - origin[1] - size[1]
         with self.ctx.scope(window, moderngl.NOTHING):
-            window.clear(*view.background, 1.0, viewport=(*corner, *size))
+            if not alone:
+                window.clear(*view.background, 1.0, viewport=(*corner, *size))
             whole, window.viewport = window.viewport, (*corner, *size)
             self._draw(view, corner, window, bottom_up=True)
             window.viewport = whole
@@ -378,10 +382,11 @@ class Canvas:
         return 0.08 + 0.25 * share * share * (3.0 - 2.0 * share)
 
     def _display_rectangle(self, view: View, size: Size) -> tuple[int, int, int, int]:
-        """Return left, top, right and bottom, in a picture of `size`, of all pixels that show the display."""
+        """Return left, top, right and bottom, in a picture of `size`, of all pixels whose centers show the display: the
+        shader does not look for its borders."""
         low, high = view.screen_at(size, 0, 0), view.screen_at(size, *self.frame.display_size)
-        left, top = (min(max(math.floor(low[i]), 0), size[i]) for i in (0, 1))
-        right, bottom = (min(max(math.ceil(high[i]), 0), size[i]) for i in (0, 1))
+        left, top = (min(max(math.ceil(low[i] - 0.5), 0), size[i]) for i in (0, 1))
+        right, bottom = (min(max(math.ceil(high[i] - 0.5), 0), size[i]) for i in (0, 1))
         return left, top, right, bottom
 
     def _program(self, *key: int) -> _Program:

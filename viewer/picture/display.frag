@@ -47,14 +47,17 @@ out vec4 pixel;
 /* isnan and isinf may be optimized away. */
 bool is_nan(const float v) { return (floatBitsToUint(v) & 0x7fffffffu) > 0x7f800000u; }
 bool is_bad(const float v) { return (floatBitsToUint(v) & 0x7fffffffu) >= 0x7f800000u; }
-bool is_bad(const vec3 v) { return is_bad(v.x) || is_bad(v.y) || is_bad(v.z); }
+bool is_bad(const vec3 v) {
+    uvec3 size = floatBitsToUint(v) & 0x7fffffffu;
+    return max(size.x, max(size.y, size.z)) >= 0x7f800000u;
+}
 bool is_sky(const float z) { return floatBitsToUint(z) == 0x7f800000u; }
 bool inside(const vec2 uv) { return uv.x >= 0.0 && uv.y >= 0.0 && uv.x < 1.0 && uv.y < 1.0; }
 
 /* NaN or infinite. */
 vec3 checker() {
-    ivec2 cell = ivec2(gl_FragCoord.xy) / 4;
-    return ((cell.x + cell.y) & 1) == 0 ? vec3(1.0, 0.0, 1.0) : vec3(0.05);
+    ivec2 at = ivec2(gl_FragCoord.xy);
+    return ((at.x ^ at.y) & 4) == 0 ? vec3(1.0, 0.0, 1.0) : vec3(0.05);
 }
 
 /* Nothing is known here. */
@@ -64,7 +67,7 @@ vec3 hatch() {
 }
 
 ivec2 texel_at(const vec2 uv, const ivec2 texels) {
-    return clamp(ivec2(floor(uv * vec2(texels))), ivec2(0), texels - 1);
+    return min(ivec2(uv * vec2(texels)), texels - 1);
 }
 
 /* The layer's number is a constant wherever these are called. */
@@ -245,12 +248,6 @@ void main() {
     vec2 frag = gl_FragCoord.xy - corner;
     if (bottom_up) frag.y = size.y - frag.y;
     vec2 uv = center + (frag - 0.5 * size) * step;
-    vec3 c = background;
-    if (inside(uv)) {
-        if (COMPARE == DIFFERENCE) c = show_difference(uv);
-        else c = show(0, uv);
-        c = overlaid(c, uv);
-        c = with_grid(c, uv);
-    }
-    pixel = vec4(c, 1.0);
+    vec3 c = overlaid(COMPARE == DIFFERENCE ? show_difference(uv) : show(0, uv), uv);
+    pixel = vec4(with_grid(c, uv), 1.0);
 }

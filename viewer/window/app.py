@@ -48,7 +48,9 @@ class App:
     closing : bool
         Whether the window is to be closed.
     beneath : tuple or None
-        Picture that lies beneath the interface in this frame: view, upper left corner and size in the window, pixels.
+        Picture that lies beneath the interface: view, upper left corner and size in the window, pixels.
+    is_bare : bool
+        Whether nothing is drawn over that picture.
     foot : tuple or None
         Middle of the picture's lower edge, screen pixels.
     """
@@ -68,6 +70,7 @@ class App:
         self._dialog: Any = None
         self._chosen: Callable[[str], object] = model.open  # what takes the path of the dialog
         self.beneath: tuple[View, Size, Size] | None = None
+        self.is_bare = False
         self.foot: tuple[float, float] | None = None
         self.canvas_size: tuple[int, int] = (0, 0)  # screen pixels
         self.picture_at: tuple[float, float] = (0.0, 0.0)  # the upper left corner of the picture's panel, screen pixels

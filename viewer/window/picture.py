@@ -55,6 +55,7 @@ def draw(app: App) -> None:
     else:
         imgui.image(imgui.ImTextureRef(app.canvas.draw(view, (width, height)).glo), ImVec2(width, height))
         imgui.set_cursor_screen_pos(origin)
+        app.beneath = None
     imgui.invisible_button(
         "###picture",
         ImVec2(width, height),
@@ -64,8 +65,8 @@ def draw(app: App) -> None:
     _mouse(app, place)
     marks = imgui.get_window_draw_list()
     marks.push_clip_rect(origin, ImVec2(origin.x + width, origin.y + height), True)
-    stale = app.stale_for(_STILL_FRESH)
-    if stale:
+    drawn = marks.vtx_buffer.size()
+    if app.stale_for(_STILL_FRESH):
         marks.add_rect_filled(origin, ImVec2(origin.x + width, origin.y + height), imgui.get_color_u32(_GRAY))
     _numbers(model, view, place, marks)
     _way(model, place, marks)
@@ -74,9 +75,11 @@ def draw(app: App) -> None:
         x0, y0, x1, y1 = model.pointing.rectangle
         ink = imgui.get_color_u32(widgets.ACCENT)
         marks.add_rect(place.to_screen(x0, y0), place.to_screen(x1, y1), ink, 0, 1.5 * widgets.mark_unit())
-    marks.pop_clip_rect()
-    _caption(model, origin, width, height, marks)
     _bars(model, origin, width, height, marks)
+    marks.pop_clip_rect()
+    beside = model.framing.is_fitted and not model.states  # captions
+    app.is_bare = app.beneath is not None and beside and marks.vtx_buffer.size() == drawn
+    _caption(model, origin, width, height, marks)
 
 
 class Placement:

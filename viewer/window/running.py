@@ -30,6 +30,8 @@ _WORK_RATE, _TOLD_RATE, _IDLE_RATE = (
 )  # frames of the interface per second without input: while something
 # is made, while messages stand there, and where nothing changes
 _AFTER_INPUT = 0.5  # seconds in which every frame is drawn
+_ALONE = 1 / 12  # seconds in which the picture alone is played, between frames of the interface
+_SHORTEST_REST = 0.001  # seconds between looks for the next picture
 _LONGEST_REST = 0.01  # seconds before a slot in which nothing is drawn
 
 
@@ -68,6 +70,7 @@ class _Window:
     def __init__(self, app: App):
         self._app, self._params = app, hello_imgui.RunnerParams()
         self._themed: tuple[str, float] | None = None  # theme and scale that are applied
+        self._on_cpu = False  # who draws
         self._may_idle = True  # where nothing happens, frames are drawn seldom
         self._told: tuple = (None, None)  # the inspector's pixel and rectangle
         self._layers_known: list = []  # those that have actions
@@ -110,7 +113,28 @@ class _Window:
         canvas, beneath = self._app.canvas, self._app.beneath
         if beneath is not None:
             canvas.draw_into(canvas.ctx.detect_framebuffer(0), *beneath)
-        self._app.beneath = None
+
+    def _play_alone(self) -> None:
+        """Where a CPU draws the window, play on for a moment and draw the picture alone: the interface costs more.
+        There a swap of buffers keeps the rest of the window. Input ends it with the next frame of the interface."""
+        import glfw
+        from imgui_bundle import glfw_utils
+
+        app, model, end = self._app, self._app.model, self._app.clock() + _ALONE
+        tells = imgui.is_any_item_hovered() and model.pointing.pixel is None  # a tooltip may reach over the picture
+        if not (app.is_bare and self._may_idle and self._on_cpu) or tells or imgui.is_any_item_active():
+            return
+        window: Any = glfw_utils.glfw_window_hello_imgui()
+        while model.playback.playing and not (app.stack.covers or app.captures or model.saving.work):
+            rest = model.playback.rest(app.clock())
+            if app.clock() + rest > end:
+                return
+            time.sleep(max(rest, _SHORTEST_REST))
+            changes = model.contents.changes
+            model.update(app.clock(), app.canvas)
+            if model.contents.changes != changes and app.beneath is not None:
+                app.canvas.draw_into(app.canvas.ctx.detect_framebuffer(0), *app.beneath, alone=True)
+                glfw.swap_buffers(window)
 
     def _before_swap(self) -> None:
         app = self._app
@@ -130,6 +154,7 @@ class _Window:
 
         app = self._app
         app.canvas = Canvas(moderngl.create_context())
+        self._on_cpu = "llvmpipe" in app.canvas.ctx.info["GL_RENDERER"]
         window: Any = glfw_utils.glfw_window_hello_imgui()
         dropped: Any = lambda _window, paths: app.drop(paths)  # noqa: E731
         glfw.set_drop_callback(window, dropped)
@@ -146,8 +171,10 @@ class _Window:
             apply_theme(*self._themed)
         app.docks.update()
         if app.clock is time.perf_counter:
+            self._play_alone()
             # drawing just before the next slot is due would delay it
             time.sleep(min(model.playback.rest(app.clock()), _LONGEST_REST))
+        app.beneath, app.is_bare = None, False
         model.update(app.clock(), app.canvas)
         if model.contents.layers is not self._layers_known:
             self._layers_known = model.contents.layers

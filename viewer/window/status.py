@@ -128,6 +128,7 @@ def messages(app: App) -> None:
     shown = [message for message in lately if message.kind != "note" and not message.dismissed]
     if not shown:
         return
+    app.is_bare = False
     x, y = app.foot or imgui.get_main_viewport().get_center()
     imgui.set_next_window_pos((x, y - hello_imgui.em_size(_ABOVE_FOOT)), imgui.Cond_.always.value, (0.5, 1.0))
     flags = imgui.WindowFlags_.no_decoration | imgui.WindowFlags_.always_auto_resize | imgui.WindowFlags_.no_docking
