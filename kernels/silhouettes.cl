@@ -276,7 +276,7 @@ INLINE void soften_pixels(const Source s, const Layers l, const Shown f, __globa
                           __global uint *softened, __global uchar *coverage, __global uint *soft, __local int4 *held,
                           __local uint *shared) {
     const int column = get_local_id(0), row = get_local_id(1), item = 16 * row + column;
-    const int group_x = get_group_id(0) * 16, group_y = get_group_id(1) * 8;
+    const int group_x = get_global_id(0) - column, group_y = get_global_id(1) - row;
     const int x = 4 * (row & 2) + column % 8, y = (row & 4) + 2 * (row & 1) + column / 8;
     const int dst_x = group_x + x, dst_y = group_y + y;
     if (item == 0) shared[0] = 0;
