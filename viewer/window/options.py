@@ -47,12 +47,12 @@ def _modules(model: Model, options: dict[str, Option]) -> None:
     rows = min(places, key=lambda at: abs(2 * at - count), default=count)
     for first, second in zip_longest(listed[:rows], listed[rows:]):
         if first:
-            _module(model, *first)
+            _module(model, first[0], first[1])
         if first and second:
             imgui.same_line()
         if second:
             imgui.set_cursor_pos_x(left + max(widths[:rows]) + spacing)
-            _module(model, *second)
+            _module(model, second[0], second[1])
 
 
 def _module(model: Model, name: str, option: Option) -> None:
