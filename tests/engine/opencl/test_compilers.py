@@ -315,6 +315,7 @@ EXCESSES = {
     ("acceleration.track_acceleration", "dg2-g10", "SIMD8"): ("a work-item for 16 pixels; most see no mover", ""),
     ("background.settle_levels", "sm_86", "registers"): ("it has rows that track acceleration", ""),
     ("background.settle_levels", "dg2-g10", "SIMD8"): ("it has rows that track acceleration", ""),
+    ("history.measure_samples", "sm_86", "registers"): ("a few samples of a frame", ""),
     ("history.measure_samples", "dg2-g10", "SIMD8"): ("a few samples of a frame", ""),
     ("projection.fill_hidden", "sm_86", "registers"): ("a walk over few pixels", ""),
     ("projection.fill_hidden", "dg2-g10", "SIMD8"): ("a walk over few pixels", ""),
