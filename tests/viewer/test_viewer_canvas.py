@@ -86,11 +86,17 @@ def test_drawn_into_a_window(canvas):
     view = View("a", Display(), center=(4.0, 3.0), zoom=3.0)
     window = canvas.ctx.simple_framebuffer((60, 50), 4)
     window.clear(0.0, 0.0, 1.0, 1.0)
-    canvas.draw_into(window, view, (7, 9), (40, 30))
+    canvas.draw_into(window, view, (7, 11), (40, 30))
     pixels = np.frombuffer(window.read(components=4), np.uint8).reshape(50, 60, 4)[::-1]
     np.testing.assert_array_equal(pixels[9:39, 7:47], read(canvas.draw(view, (40, 30))))
     assert (np.delete(pixels[9:39], np.s_[7:47], 1) == (0, 0, 255, 255)).all()
     assert (pixels[[*range(9), *range(39, 50)]] == (0, 0, 255, 255)).all()
+    window.clear(0.0, 0.0, 1.0, 1.0)
+    canvas.draw_into(window, view, (7, 11), (40, 30), alone=True)
+    again = np.frombuffer(window.read(components=4), np.uint8).reshape(50, 60, 4)[::-1]
+    is_picture = (again != (0, 0, 255, 255)).any(-1)
+    assert is_picture[15:33, 15:39].all() and is_picture.sum() == 18 * 24, "nothing beside it is touched"
+    np.testing.assert_array_equal(again[is_picture], pixels[is_picture])
     window.release()
 
 

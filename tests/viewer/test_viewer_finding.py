@@ -177,7 +177,7 @@ def test_the_survey_finds_the_worst_frames():
     xs, ys = survey.curve(survey.a)
     assert survey.next() == int(xs[ys.argmax()]), "more flicker is worse; another quantity starts anew"
     means, count = survey.means("psnr")
-    assert count == 7 and means["A"] == pytest.approx(np.mean(list(a.values())))
+    assert count == 7 and means["A"][0] == pytest.approx(np.mean(list(a.values())))
 
 
 def test_means_of_both_are_over_the_slots_that_both_have():
@@ -190,7 +190,7 @@ def test_means_of_both_are_over_the_slots_that_both_have():
     assert count == len(common)
     for name, side in (("A", survey.a), ("B", survey.b)):
         values = [survey.figures(side)[slot].values["psnr"] for slot in common]
-        assert means[name] == pytest.approx(np.mean(values))
+        assert means[name] == pytest.approx((np.mean(values), np.quantile(values, 0.05))), "few are worse"
     known.clear()
     assert survey.means("psnr")[1] == 7 and set(survey.means("psnr")[0]) == {"A"}, "nothing of B is known yet"
 

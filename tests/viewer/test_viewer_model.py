@@ -523,9 +523,11 @@ def test_faults_of_all_frames_are_marked(tmp_path):
             color = tiny_sequence.pixels(4)[0] if k == 5 else color
             depth = tiny_sequence.pixels(6)[1] if k == 7 else depth
             motion[1, 2:5] = np.nan if k == 2 else motion[1, 2:5]
+            camera = tiny_sequence.camera(3 if k == 4 else seen)
             entry = replace(tiny_sequence.rendered(seen), file=f"frame_{k}.exr", time=k / 30 + late, reset=k == 0)
+            entry = replace(entry, render_camera=camera)
             writer.add(entry, named_channels(color, depth, motion if k else None))
-        for file, time in (("known.exr", 8.25 / 30 + 0.01), ("alone.exr", 8.45 / 30 + 0.01)):
+        for file, time in (("known.exr", 7.75 / 30 + 0.01), ("alone.exr", 8.45 / 30 + 0.01)):
             truth = FrameEntry(file, time, "ground_truth", display_camera=tiny_sequence.camera(8))
             writer.add(truth, named_channels(tiny_sequence.pixels(8)[0]))
     document = Session(folder).model.document
@@ -534,7 +536,10 @@ def test_faults_of_all_frames_are_marked(tmp_path):
     assert scan._job is None or wait_for(scan._job.done)
     wait_for(lambda: scan.update(True) or not scan.busy)
     found = {k: list(kinds) for k, kinds in scan.marks.items()}
-    assert found == {2: [INVALID], 4: [UNEVEN], 8: [ALONE]} | {k: [REPEATED] for k in (5, 7, 11, 12, 13)}
+    assert found == {2: [INVALID], 4: [REPEATED, UNEVEN], 8: [REPEATED, ALONE]} | {
+        k: [REPEATED] for k in (5, 7, 11, 12, 13)
+    }
+    assert "alone.exr equals known.exr" in scan.marks[8][REPEATED] and "camera of" in scan.marks[4][REPEATED]
     assert "alone.exr" in scan.marks[8][ALONE], "which no generated frame is compared with"
     assert "3 × NaN" in scan.marks[2][INVALID] and "43.3 ms" in scan.marks[4][UNEVEN]
     assert "color of the frame before" in scan.marks[5][REPEATED] and "depth of" in scan.marks[7][REPEATED]

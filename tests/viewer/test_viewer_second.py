@@ -23,7 +23,7 @@ from gffe_cl.viewer.picture.current_frame import VECTORS, followed
 from gffe_cl.viewer.picture.displays import FrameInfo
 from gffe_cl.viewer.state.comparing import NEIGHBORS
 from gffe_cl.viewer.state.presets import command_line
-from gffe_cl.viewer.state.studies import difference, modules_of
+from gffe_cl.viewer.state.studies import Difference, Differing, difference, modules_of
 from gffe_cl.viewer.window.studies import show_difference
 
 
@@ -155,13 +155,14 @@ def test_the_first_layer_that_differs_is_of_the_stage_that_was_changed(session):
     model.playback.seek(3)
     model.sides.keep()
     session.settle()
-    assert studied(session, model.studies.differing).first is None, "equal settings"
+    assert not any(one.differs for one in studied(session, model.studies.differing).all), "equal settings"
+    assert not model.studies.differing.stale
     assert model.studies.differing.text == f"all {len(model.studies.differing.all)} layers are equal"
     assert len(model.studies.differing.all) > 30
     model.set("static_threshold", 20.0)
     session.settle()
     found = studied(session, model.studies.differing)
-    assert found.first.spec.name == "history.dynamic_mask"
+    assert next(one for one in found.all if one.differs).spec.name == "history.dynamic_mask"
     final = next(one for one in found.all if one.spec.name == "final")
     images = [model.contents.image("final"), None]
     model.sides.take_second()
@@ -182,6 +183,15 @@ def test_differences_from_a_frame_before(session):
     session.settle()
     differs = (model.contents.result.images["rendered.color"] != model.contents.second.images["rendered.color"]).any(-1)
     assert model.contents.second.slot == 2 and color.pixels == differs.sum() > 0
+
+
+@pytest.mark.parametrize(("slots", "stale"), [((4, 2), [names.RENDERED_COLOR]), ((5, 4), [])])
+def test_equal_buffers_of_two_rendered_frames_are_stale(slots, stale):
+    study, side = Differing(), Recipe(1, Setup(n=1), "")
+    specs = [LayerSpec(name, "", "frame", "") for name in (names.RENDERED_COLOR, names.RENDERED_DEPTH, names.FINAL)]
+    study.wanted(SimpleNamespace(slot=slots[0], slot_of_b=slots[1], a=side, b=side, layers=()))
+    study.found = {"input": [Difference(spec, k % 2, 8, 0.0) for k, spec in enumerate(specs)]}
+    assert [one.spec.name for one in study.stale] == stale
 
 
 def test_an_ablation_tells_what_a_module_gains(session):
@@ -244,7 +254,8 @@ def test_b_is_an_output_of_gffe_run_with_its_stage_dump(session, tmp_path):
     model.set("motion", True)
     session.settle()
     assert (session.canvas.layers["B:final"] != model.contents.image("final")).any()
-    assert studied(session, model.studies.differing).first.spec.group == "history"
+    found = studied(session, model.studies.differing)
+    assert next(one for one in found.all if one.differs).spec.group == "history"
     assert " not in B" in model.studies.differing.text
     lacking = next(one for one in model.studies.differing.all if not one.common)
     assert not lacking.differs and lacking.remark == "not in B"
@@ -297,17 +308,30 @@ def test_a_layer_differs_in_a_plane_that_is_named():
     b[2, 0, 1, 2] = 0.0
     found = difference(spec, *frames, info)
     assert found.planes == (2, 1) and found.worst == (13, 7)
-    looks, shown = [], []
+    looks, shown, picked = [], [], []
     model = SimpleNamespace(
         looks=SimpleNamespace(choose_plane=lambda *given: looks.append(given)),
         show_layer=shown.append,
         comparison=SimpleNamespace(neighbor="", with_settings=lambda: None, set=shown.append),
+        pointing=SimpleNamespace(pick=picked.append),
     )
     show_difference(model, found)
-    assert shown == [spec.name, "difference"] and looks == [(spec.name, 2)]
+    assert shown == [spec.name, "difference"] and looks == [(spec.name, 2)] and picked == [(13, 7)]
     frames[1].images.clear()
     only = difference(spec, *frames, info)
     assert only.remark == "not in B" and not only.differs
+
+
+def test_sky_against_a_surface_is_counted_but_not_the_largest():
+    spec = LayerSpec("depth", "Depth", "frame", "depth", ("z",))
+    a, b = np.full((2, 4, 8), np.inf, np.float32)
+    b[0, 0], a[3, 7], b[3, 7] = 5.0, 2.0, 2.5
+    info, frames = FrameInfo((8, 4)), [SimpleNamespace(images={spec.name: image}) for image in (a, b)]
+    found = difference(spec, *frames, info)
+    assert (found.pixels, found.largest, found.worst) == (2, 0.5, (7, 3))
+    a[3, 7] = 2.5
+    found = difference(spec, *frames, info)
+    assert found.pixels == 1 and np.isnan(found.largest) and found.worst == (0, 0)
 
 
 STEP = np.array([4, -2], np.float32)  # pixels that everything moves in a frame

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from imgui_bundle import imgui
-from viewer_gui_driver import KEY, Gui, collector
+from imgui_bundle import glfw_utils, imgui
+from viewer_gui_driver import KEY, Gui, collector, glfw
 
 from gffe_cl.lab.metrics import to_display
 
@@ -70,6 +70,16 @@ def story(gui: Gui):
     assert model.pointing.picked is model.pointing.story is None and not gui.exists("//Inspector/###forget_story")
 
 
+def shows_the_picture(gui: Gui):
+    """The window has the picture at its place, below numbers and captions."""
+    gui.settle()
+    gui.frames(2)
+    left, top, width, height = map(int, gui.area())
+    on_screen, picture = gui.window()[top : top + height, left : left + width], gui.picture()
+    colored = np.ptp(picture, axis=-1) > 9
+    assert colored.mean() > 0.2 and (on_screen == picture)[colored].mean() > 0.6
+
+
 def smoke(gui: Gui):
     """One look at everything that a person touches first."""
     model = gui.model
@@ -80,6 +90,14 @@ def smoke(gui: Gui):
     for x, y in ((2, 3), (9, 6), (6, 1)):
         right, down = gui.at(x + 0.5, y + 0.5)
         assert np.abs(picture[int(down - top), int(right - left)] - 255 * image[y, x]).max() <= 2
+    shows_the_picture(gui)
+    glfw.set_window_size(glfw_utils.glfw_window_hello_imgui(), 1100, 800)
+    gui.wait(lambda: imgui.get_io().display_size.y == 800, "the window's size")
+    shows_the_picture(gui)
+    gui.ctx.undock_window("//Picture")
+    gui.wait(lambda: gui.app.beneath is None, "a floating picture")
+    shows_the_picture(gui)
+    gui.app.docks.reset()
     for key, slot in ((KEY.right_arrow, 1), (KEY.right_arrow, 2), (KEY.left_arrow, 1)):
         gui.key(key)
         gui.settle()

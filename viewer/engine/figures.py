@@ -254,8 +254,7 @@ def region_masks(frame: Frame, exposure: float) -> dict[str, np.ndarray]:
     return found | {"disoccluded": found["static disocclusion"]}
 
 
-HISTORY = 120  # computed frames in the plot
-_MEAN = 20  # ... and in the means
+_MEAN = 20  # computed frames that the means are of
 
 
 class Timings:
@@ -263,7 +262,7 @@ class Timings:
     its old times, which do not count. Kernel times of shading correction include the time in the network."""
 
     def __init__(self):
-        self._frames: deque[Frame] = deque(maxlen=HISTORY)
+        self._frames: deque[Frame] = deque(maxlen=_MEAN)
 
     def add(self, frame: Frame) -> None:
         """Add a shown frame, unless it is one of those that are there."""
@@ -273,39 +272,30 @@ class Timings:
     @property
     def text(self) -> str:
         """The frames that the means are of, in words."""
-        count, generated = len(self._last), sum(frame.moment.alpha > 0 for frame in self._last)
+        count, generated = len(self._frames), sum(frame.moment.alpha > 0 for frame in self._frames)
         return f"mean of the last {count} computed frame{'s' * (count != 1)}, {generated} generated"
 
-    @property
-    def _last(self) -> list[Frame]:
-        return list(self._frames)[-_MEAN:]
-
-    @property
-    def stages(self) -> dict[str, list[float]]:
-        """Kernel times by stage, of all frames, the latest last; of the stages that the last one has."""
-        times = [_by_stage(frame) for frame in self._frames]
-        return {name: [of.get(name, 0.0) for of in times] for name in (times[-1] if times else ())}
-
     def means(self) -> dict[str, float]:
-        """Return the mean kernel times by stage, milliseconds."""
-        return {name: _mean(times[-_MEAN:]) for name, times in self.stages.items()}
+        """Return the mean kernel times, milliseconds, of the stages that the last frame has."""
+        times = [_by_stage(frame) for frame in self._frames]
+        return {name: _mean([of.get(name, 0.0) for of in times]) for name in (times[-1] if times else ())}
 
     def of_stage(self, stage: str) -> dict[str, float]:
         """Return the mean times of a stage's kernels by their names, milliseconds."""
-        found = [frame.kernels.get(stage, {}) for frame in self._last]
+        found = [frame.kernels.get(stage, {}) for frame in self._frames]
         kernels = dict.fromkeys(name for of in found for name in of)
         return {name: _mean([of.get(name, 0.0) for of in found]) for name in kernels}
 
     def network(self) -> tuple[float, float]:
         """Return the mean times in the network's runtime, and of transfers to it and back, milliseconds."""
-        times = [frame.milliseconds for frame in self._last]
+        times = [frame.milliseconds for frame in self._frames]
         inside, copies = (_mean([of.get(name, 0.0) for of in times]) for name in ("network", "network copies"))
         return inside, copies
 
     def walls(self) -> tuple[int, float, float]:
         """Return the number of those frames that followed the one before, and their mean times from taking the request
         to its images, and of reading back in it, milliseconds."""
-        followed = [frame for frame in self._last if frame.submitted <= 1]
+        followed = [frame for frame in self._frames if frame.submitted <= 1]
         whole, readback = (_mean([getattr(frame, name) for frame in followed]) for name in ("wall_ms", "readback_ms"))
         return len(followed), whole, readback
 

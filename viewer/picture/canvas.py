@@ -278,11 +278,10 @@ class Canvas:
         return self._targets[name]
 
     def draw_into(
-        self, window: moderngl.Framebuffer, view: View, origin: Size, size: Size, alone: bool = False
+        self, window: moderngl.Framebuffer, view: View, corner: Size, size: Size, alone: bool = False
     ) -> None:
-        """Draw `view` at `size` into a window, whose first row is the bottom one: the upper left corner at `origin`.
+        """Draw `view` at `size` into a window, whose first row is the bottom one: the lower left corner at `corner`.
         `alone`: the background stays as it is."""
-        corner = origin[0], window.height - origin[1] - size[1]
         with self.ctx.scope(window, moderngl.NOTHING):
             if not alone:
                 window.clear(*view.background, 1.0, viewport=(*corner, *size))

@@ -245,8 +245,10 @@ def values_in(sides: list[tuple[str, Texels]], rectangle: Rectangle) -> dict[str
         return made
     (_, a), (_, b) = sides
     alike = a.spec.view == b.spec.view not in ("label", "mask") and a.image.shape == b.image.shape
+    if not alike or made["A"].shape != made["B"].shape:
+        return made
     with np.errstate(invalid="ignore"):
-        return made | ({"A − B": made["A"] - made["B"]} if alike and made["A"].shape == made["B"].shape else {})
+        return made | {"A − B": np.where(made["A"] == made["B"], 0, made["A"] - made["B"])}
 
 
 def _between(first: float, last: float, start: float, scale: float, count: int) -> tuple[int, int]:

@@ -78,7 +78,8 @@ def _examined(sequence: Sequence) -> Any:
 
 INVALID, REPEATED, UNEVEN, START = "invalid", "repeated", "uneven time", "reset or cut"
 MISPLACED, ALONE = "doctor", "ground truth without a frame"
-_REST = 3  # copies of a frame in a row: of more the camera rests
+_REST = 3  # frames in a row with the camera before: of more the camera rests
+_MOVES = 0.3  # pixels: half of the vectors are longer where the camera moves
 _MOST_UNEVEN = 1 / 3  # share of frames, beyond which uneven times are usual
 
 
@@ -98,8 +99,9 @@ class Scan:
         self._job: Future | None = None
         self._may_run = False
         self._before: RenderedFrame | None = None  # looked at last
+        self._truth: tuple[FrameEntry, np.ndarray] | None = None  # read last
         self._found: dict[int, dict[str, str]] = {}
-        self._copies: set[int] = set()  # frames that are those before, and whose camera is
+        self._copies: dict[int, str] = {}  # frames with the camera of those before, and what else they have of them
         self._marks: tuple[tuple[int, int], dict[int, dict[str, str]]] = ((-1, 0), {})  # and what they were made of
         self.done = 0
 
@@ -132,7 +134,7 @@ class Scan:
         for k in sorted(self._copies):
             runs[-1].append(k) if runs and runs[-1][-1] == k - 1 else runs.append([k])
         for k in (k for run in runs if len(run) <= _REST for k in run):
-            found.setdefault(k, {})[REPEATED] = "repeats the frame before, with its camera"
+            found[k] = {REPEATED: self._copies[k]} | found.get(k, {})
         for k, text in _uneven(self._source.sequence.rendered).items():
             found.setdefault(k, {})[UNEVEN] = text
         for k, text in ({} if self.busy else _alone(self._source)).items():
@@ -145,6 +147,8 @@ class Scan:
             try:
                 frame = self._source.sequence.read(entry)
                 kinds = self._kinds(k, frame, self._before if k and not entry.reset else None)
+                again = self._truth_again(k)
+                kinds |= {REPEATED: f"{kinds[REPEATED]}; {again}" if REPEATED in kinds else again} if again else {}
             except GffeError as error:
                 frame, kinds = None, {INVALID: str(error)}
             self._found |= {k: kinds} if kinds else {}
@@ -161,9 +165,25 @@ class Scan:
         same = [name for name, pair in both.items() if np.array_equal(*pair, equal_nan=True)]
         if frame.camera != before.camera and same:
             kinds[REPEATED] = f"{', '.join(same)} of the frame before, to the bit, although the camera moves"
-        elif {"color", "depth"} <= set(same):
-            self._copies.add(k)
+        elif frame.camera == before.camera and {"color", "depth"} <= set(same):
+            self._copies[k] = "repeats the frame before, with its camera"
+        elif frame.camera == before.camera and frame.motion is not None:
+            lengths = np.linalg.norm(np.nan_to_num(frame.motion[::4, ::4]), axis=-1)
+            if np.median(lengths) > _MOVES:
+                self._copies[k] = "camera of the frame before, although vectors move"
         return kinds
+
+    def _truth_again(self, k: int) -> str:
+        """Return which ground truth from frame `k` to the next equals that before it, although the camera moves, in
+        words; empty if none does."""
+        sequence, again = self._source.sequence, []
+        here, *following = sequence.rendered[k : k + 2]
+        beside, until = (following[0], following[0].time) if following else (sequence.rendered[k - 1], np.inf)
+        for truth in (one for one in sequence.ground_truth if here.time <= one.time < until):
+            known, self._truth = self._truth, (truth, sequence.read_color(truth))
+            if known and beside.render_camera != here.render_camera and np.array_equal(known[1], self._truth[1]):
+                again.append(f"ground truth {truth.file} equals {known[0].file}, although the camera moves")
+        return "; ".join(again)
 
 
 def _uneven(entries: list[FrameEntry]) -> dict[int, str]:

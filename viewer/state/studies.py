@@ -195,10 +195,13 @@ class Studies:
 # ---- layers that differ ----------------------------------------------------------------------------------------
 
 
+_BUFFERS = frozenset({names.RENDERED_COLOR, names.RENDERED_DEPTH, names.RENDERED_MOTION})
+
+
 @dataclass(frozen=True)
 class Difference:
-    """Difference between a layer of A and of B. `pixels` of `of` differ, at most by `largest` (NaN where no numbers can
-    be subtracted); `planes`: of several the ones that differ, from 0, that with the largest difference first; `worst`:
+    """Difference between a layer of A and of B. `pixels` of `of` differ, by finite numbers at most by `largest` (NaN
+    without any); `planes`: of several the ones that differ, from 0, that with the largest difference first; `worst`:
     the display pixel with that, if it is on the display; `remark`: why they cannot be compared, if so; `common`: both
     have it."""
 
@@ -225,6 +228,8 @@ class Difference:
 class Differing(Study):
     """Differences of every layer of this frame between A's and B's settings, in the order of the stages."""
 
+    _inputs: frozenset[str] = frozenset()  # that are of two rendered frames
+
     def why_not(self, here: Here) -> str | None:
         return NO_B if here.b is None else None
 
@@ -234,6 +239,8 @@ class Differing(Study):
         for spec in _by_stage(here.layers):
             groups[_stage_of(spec)] = groups.get(_stage_of(spec), frozenset()) | {spec.name}
         sides = Key(here.a, here.slot), Key(here.b, here.slot_of_b)
+        first, second = (key.slot // (here.a.setup.n + 1) for key in sides)
+        self._inputs = frozenset() if first == second else _BUFFERS
         return {stage: tuple(Want(key, layers, keep=False) for key in sides) for stage, layers in groups.items()}
 
     def find(self, here: Here, name: Any, *frames: Frame) -> list[Difference]:
@@ -247,19 +254,17 @@ class Differing(Study):
         return [one for made in self.found.values() if isinstance(made, list) for one in made]
 
     @property
+    def stale(self) -> list[Difference]:
+        """The layers of the input that are equal although they are of two rendered frames."""
+        return [one for one in self.all if one.spec.name in self._inputs and one.common and not one.differs]
+
+    @property
     def text(self) -> str:
         """The number of layers that differ, of those that both have, and of those that only one has."""
         differing, lacking = sum(one.differs for one in self.all), [one.remark for one in self.all if not one.common]
         common = len(self.all) - len(lacking)
         found = f"{differing} of {common} layers differ" if differing or self.busy else f"all {common} layers are equal"
         return ", ".join([found, *(f"{lacking.count(remark)} {remark}" for remark in dict.fromkeys(lacking))])
-
-    @property
-    def first(self) -> Difference | None:
-        """The first layer that both have and whose pixels differ, else the first of another size; None if there is none
-        so far."""
-        differing = [one for one in self.all if one.differs]
-        return next((one for one in differing if one.pixels), differing[0] if differing else None)
 
 
 def _stage_of(spec: LayerSpec) -> str:
@@ -297,9 +302,9 @@ def difference(spec: LayerSpec, a: Frame, b: Frame, info: FrameInfo) -> Differen
     apart = np.zeros(differs.shape)
     with np.errstate(invalid="ignore", over="ignore"):
         apart[differs] = np.abs(first[differs].astype(np.float64) - second[differs].astype(np.float64))
-    known = apart[~np.isnan(apart)]
+    known = apart[np.isfinite(apart)]
     largest = float(known.max()) if spec.view != "label" and known.any() else float("nan")
-    apart = np.where(differs, 1.0 if spec.view == "label" else np.nan_to_num(apart, nan=np.inf), 0.0).max(-1)
+    apart = np.where(np.isfinite(apart), apart, 0.0).max(-1) if largest == largest else by_plane
     plane, y, x = map(int, np.unravel_index(apart.argmax(), apart.shape))
     planes = [plane, *(other for other in np.flatnonzero(by_plane.any((1, 2))).tolist() if other != plane)]
     worst = info.pixel_of(spec, ((x + 0.5) / width, (y + 0.5) / height))

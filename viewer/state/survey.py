@@ -106,15 +106,15 @@ class Survey:
         known = sorted((s, f.values[quantity]) for s, f in self.figures(side).items() if quantity in f.values)
         return np.array([s for s, _ in known], np.float64), np.array([v for _, v in known], np.float64)
 
-    def means(self, quantity: str) -> tuple[dict[str, float], int]:
-        """Return the means of A and B over the slots that both have and that are counted, and how many these are. A
-        side without any is left out."""
+    def means(self, quantity: str) -> tuple[dict[str, tuple[float, float]], int]:
+        """Return the means of A and B over the slots that both have and that are counted, with what 95% of these reach
+        or are better than, and how many they are. A side without any is left out."""
         curves = {name: self.curve(side, quantity) for name, side in self._named.items()}
         values = {name: dict(zip(*curve, strict=True)) for name, curve in curves.items() if curve[0].size}
         common = self._of_both(list(values.values()))
-        return {name: float(np.mean([of[slot] for slot in common])) for name, of in values.items() if common}, len(
-            common
-        )
+        counted = {name: [of[slot] for slot in common] for name, of in values.items() if common}
+        worst = 0.05 if QUANTITIES[quantity].worse < 0 else 0.95
+        return {name: (float(np.mean(of)), float(np.quantile(of, worst))) for name, of in counted.items()}, len(common)
 
     def _of_both(self, sides: Sequence[Mapping[int, object]]) -> list[int]:
         """Return the slots that all sides have: those with history, or all if none has."""

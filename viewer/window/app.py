@@ -48,7 +48,7 @@ class App:
     closing : bool
         Whether the window is to be closed.
     beneath : tuple or None
-        Picture that lies beneath the interface: view, upper left corner and size in the window, pixels.
+        Picture that lies beneath the interface: view, lower left corner and size in the window, pixels.
     is_bare : bool
         Whether nothing is drawn over that picture.
     foot : tuple or None

@@ -7,8 +7,8 @@ from itertools import groupby
 from typing import NamedTuple
 
 import numpy as np
-from imgui_bundle import hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
+from imgui_bundle import imgui
 
 from gffe_cl.engine.inspection.explain.pixel_explain_types import Inspection, Story
 from gffe_cl.engine.inspection.layers import LayerSpec
@@ -17,9 +17,10 @@ from ..state.captions import value_text
 from ..state.model import Model
 from . import widgets
 from .app import App
+from .picture import short
 
 HERE, FROM = "here", "from"  # the pixel under the pointer, and where its content comes from
-_LEAST_NAMES = 0.22  # of the width: names of layers, where colors take the rest of the line
+_NAMES = 0.4  # of the width: names of layers
 
 
 class Row(NamedTuple):
@@ -31,7 +32,6 @@ class Row(NamedTuple):
     description: str
     where: str
     value: str
-    is_color: bool
     is_bad: bool
 
 
@@ -92,7 +92,9 @@ def _statistics(model: Model) -> None:
                 widgets.tooltip(f"{share:.1%} of the values are finite" if share < 1 else "")
                 for value in values or [float("nan")] * len(STATISTICS):
                     imgui.table_next_column()
-                    imgui.text("–" if value != value else f"{value:.{2 if abs(value) < 0.01 else 4}g}")
+                    room = int(imgui.get_content_region_avail().x / imgui.calc_text_size("0").x)
+                    imgui.text("–" if value != value else short(value, room))
+                    widgets.tooltip(f"{value:.6g}")
             imgui.end_table()
     if imgui.button(f"{icons.ICON_FA_XMARK} forget###forget_rectangle"):
         model.pointing.rectangle = None
@@ -110,32 +112,22 @@ def _buffers(model: Model) -> None:
 
 def _values(app: App, inspection) -> None:
     """Draw a table for each stage, under its name: layers, and their values."""
-    rows, room = _rows(app, inspection), imgui.get_content_region_avail().x - hello_imgui.em_size(1)
-    names = _widest(f"{row.label} {row.where}".strip() for row in rows)
     with widgets.compact():
-        for group, of_group in groupby(rows, key=lambda row: row.group):
+        for group, of_group in groupby(_rows(app, inspection), key=lambda row: row.group):
             imgui.text_disabled(group)
-            listed = list(of_group)
-            colors = _widest(row.value for row in listed if row.is_color)
-            shortest = _widest(f"{widgets.cut(row.label, 0)} {row.where}" for row in listed)
-            _table(group, listed, max(min(names, room - colors), _LEAST_NAMES * room, shortest))
+            _table(group, list(of_group))
 
 
-def _widest(texts: Iterable[str]) -> float:
-    return max((imgui.calc_text_size(text).x for text in texts), default=0.0)
-
-
-def _table(group: str, rows: list[Row], names: float) -> None:
-    """Draw the rows of a stage; `names`: width of the layers' names."""
+def _table(group: str, rows: list[Row]) -> None:
+    """Draw the rows of a stage."""
     if not imgui.begin_table(f"###values {group}", 2, imgui.TableFlags_.row_bg.value):
         return
-    imgui.table_setup_column("layer", imgui.TableColumnFlags_.width_fixed.value, names)
-    imgui.table_setup_column("value", imgui.TableColumnFlags_.width_stretch.value)
+    for title, share in (("layer", _NAMES), ("value", 1 - _NAMES)):
+        imgui.table_setup_column(title, imgui.TableColumnFlags_.width_stretch.value, share)
     for row in rows:
         imgui.table_next_row()
         imgui.table_next_column()
-        where = f" {row.where}" if row.where else ""
-        imgui.text(widgets.cut(row.label, names - imgui.calc_text_size(where).x) + where)
+        imgui.text_wrapped(f"{row.label} {row.where}".strip())
         widgets.tooltip(f"{row.label}: {row.description}")
         imgui.table_next_column()
         text_color = widgets.red() if row.is_bad else imgui.get_style_color_vec4(imgui.Col_.text)
@@ -161,7 +153,7 @@ def rows_of(layers: Iterable[LayerSpec], inspection: Inspection) -> list[Row]:
         for where, values in ((where, values[spec.name]) for where, values in named if spec.name in values):
             told = where if spec.name in inspection.origin else ""
             text, bad = value_text(spec, values), _is_bad(spec, values)
-            rows.append(Row(spec.group, spec.label, spec.description, told, text, spec.view == "color", bad))
+            rows.append(Row(spec.group, spec.label, spec.description, told, text, bad))
     return rows
 
 

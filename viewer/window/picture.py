@@ -50,8 +50,9 @@ def draw(app: App) -> None:
         return
     view = model.comparison.shown()
     view.line = _LINE * widgets.mark_unit()
-    if imgui.is_window_docked() and imgui.get_io().display_framebuffer_scale.x == 1:  # it has no background
-        app.beneath = view, (int(origin.x), int(origin.y)), (width, height)
+    io = imgui.get_io()
+    if imgui.is_window_docked() and io.display_framebuffer_scale.x == 1:  # it has no background
+        app.beneath = view, (int(origin.x), int(io.display_size.y) - int(origin.y) - height), (width, height)
     else:
         imgui.image(imgui.ImTextureRef(app.canvas.draw(view, (width, height)).glo), ImVec2(width, height))
         imgui.set_cursor_screen_pos(origin)
@@ -280,11 +281,14 @@ def _caption(model: Model, origin, width, height, marks) -> None:
 
 
 def _bars(model: Model, origin, width: int, height: int, marks) -> None:
-    """Draw a color bar with numbers and unit for each map, at the picture's right edge, of A in a wipe at its left
-    one."""
+    """Draw a color bar with numbers and unit for each map, at the right edge, of A in a wipe at the left one: below the
+    picture where there is room."""
     em = hello_imgui.em_size()
-    top, high = 2.4 * em, min(height - 6.5 * em, 11 * em)
-    if high < 4 * em or width < 20 * em:
+    below = model.view.screen_at((width, height), *model.contents.size)[1] + 0.5 * em
+    top = below if model.framing.is_fitted and below < height - 5.1 * em else 2.4 * em
+    foot = (_STRIP + 0.2) * em
+    high = min(height - foot - top, 11 * em)
+    if high < 3 * em or width < 20 * em:
         return
     for side, shown in model.captions.legends():
         left = side == "A"
@@ -292,8 +296,8 @@ def _bars(model: Model, origin, width: int, height: int, marks) -> None:
         draw = widgets.vertical_bar if shown.kind == "ramp" else widgets.small_wheel
         _, y0, _, y1 = draw(marks, shown, at, high, right=not left)
         top += 0 if left else y1 - y0 + 0.5 * em
-        high = min(high, height - top - 4 * em)
-        if high < 4 * em:
+        high = min(high, height - top - foot)
+        if high < 3 * em:
             break
 
 
@@ -309,7 +313,7 @@ def _layer_text(model: Model, name: str) -> str:
         whose = slot_text(result.slot, model.n) if neighbor and result else neighbor or (kept.name if kept else "")
         if model.showing.fault_of_b:
             return f"{whose}: {model.showing.fault_of_b}"
-        text = f"{whose}   {text}"
+        text = f"{whose}   {text}" if model.comparison.flipped else whose  # else A has the layer's name
     if result and names.plain(name) in result.layers and model.contents.image(name) is None:
         text += "   (none for this frame)"
     return text

@@ -143,21 +143,22 @@ def _controls(app: App) -> None:
             row(em(2.2))
             widgets.action_button(app.actions, name, icon)
         means, count = survey.means(survey.quantity)
-        for label, mean in means.items():
-            text = QUANTITIES[survey.quantity].text(mean)
+        for label, (mean, worst) in means.items():
+            text = f"{QUANTITIES[survey.quantity].text(mean)} (95%: {worst:.{QUANTITIES[survey.quantity].digits}f})"
             row(imgui.calc_text_size(f"{label} {text}").x)
             imgui.text_colored(COLORS[label], label)
             imgui.same_line(0, em(0.3))
             imgui.text(text)
         if len(means) > 1:
-            text = f"A−B {QUANTITIES[survey.quantity].text(means['A'] - means['B'], '+')}"
+            text = f"A−B {QUANTITIES[survey.quantity].text(means['A'][0] - means['B'][0], '+')}"
             row(imgui.calc_text_size(text).x)
             imgui.text(text)
         if means:
             text = f"mean of {count} frame{'s' * (count != 1)}" + " of both" * (len(means) > 1)
             row(imgui.calc_text_size(text).x)
             imgui.text_disabled(text)
-            widgets.tooltip("Generated frames between the in and the out point, after the first two rendered ones")
+            of = "Generated frames between the in and the out point, after the first two rendered ones"
+            widgets.tooltip(f"{of}. 95%: 19 of 20 of them are as good, or better")
         text = _progress(model)
         if text:
             row(min(imgui.calc_text_size(text).x, em(8)))

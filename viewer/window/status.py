@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import math
+
 from imgui_bundle import ImVec4, hello_imgui, imgui
 from imgui_bundle import icons_fontawesome_6 as icons
 
@@ -46,13 +48,15 @@ def draw(app: App) -> None:
         told = True
     _beside(told)
     listed, room = parts(model), imgui.get_content_region_avail().x
+    whole = _GAP.join(listed)
     while len(listed) > 1 and imgui.calc_text_size(_GAP.join(listed)).x > room:
-        del listed[0]  # the last one is that of the pointer
+        listed.pop()  # what matters least is last
     text = widgets.cut(_GAP.join(listed), room)
     if told:
         imgui.text_disabled(text)
     else:
         imgui.text(text)
+    widgets.tooltip(whole if text != whole else "")
 
 
 def _kernel_error(log: str, share: float) -> None:
@@ -77,8 +81,8 @@ def _beside(something: bool) -> None:
 
 
 def parts(model: Model) -> list[str]:
-    """Return the texts of the status bar: the values under the pointer, the device, the open sequence, its time, and
-    warnings."""
+    """Return the texts of the status bar: the values under the pointer, warnings, the device, the open sequence, and
+    its time."""
     told = [model.engine.device_name or "opening the device …"]
     if model.source is not None:
         info = model.source
@@ -88,7 +92,7 @@ def parts(model: Model) -> list[str]:
     if model.contents.result is not None:
         kept = "from the cache, " if model.showing.from_cache else ""
         told.append(f"{kept}computed in {model.contents.result.wall_ms:.0f} ms{_build(model)}")
-    return [*_under_pointer(model), *told, *model.document.warnings]
+    return [*_under_pointer(model), *model.document.warnings, *told]
 
 
 def _build(model: Model) -> str:
@@ -107,7 +111,7 @@ def _under_pointer(model: Model) -> list[str]:
         specs = {letter: side.spec for letter, side in sides}
         values = values_in(sides, (*pixel, pixel[0] + 1, pixel[1] + 1)).items()
         texts = [
-            f"{name}  {value_text(specs[name], of[0]) if name in specs else '  '.join(f'{v:+.4g}' for v in of[0])}"
+            f"{name}  {value_text(specs[name], of[0]) if name in specs else '  '.join(map(_apart, of[0]))}"
             for name, of in values
         ]
         return [f"({pixel[0]}, {pixel[1]})", *texts]
@@ -119,6 +123,10 @@ def _under_pointer(model: Model) -> list[str]:
         right, down = inspection.source
         told += f"   from ({right:.1f}, {down:.1f})   {value_text(spec, inspection.origin[spec.name])}"
     return [told]
+
+
+def _apart(by: float) -> str:
+    return f"{by:+.4g}" if math.isfinite(by) else "–"
 
 
 def messages(app: App) -> None:

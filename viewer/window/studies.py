@@ -24,22 +24,19 @@ def draw_differing(app: App) -> None:
     model, study = app.model, app.model.studies.differing
     if widgets.studied(model, study) is None:
         return
-    first, shown = study.first, [one for one in study.all if one.differs]
-    imgui.begin_disabled(first is None)
-    if imgui.button("go to the first###first_differing") and first is not None:
-        show_difference(model, first)
-        model.pointing.pick(first.worst)
-    imgui.end_disabled()
-    widgets.tooltip("Show the difference of the first layer that differs, and pick the pixel where it is largest")
+    shown, stale = [one for one in study.all if one.differs], study.stale
     done = f"{len(study.found)} of {study.parts} stages …   " if study.busy else ""
     widgets.hint(done + study.text)
     with widgets.compact():
+        if stale:
+            imgui.text_disabled("equal: stale, unless nothing moves")
+            _differing_table(model, "stale", stale)
         for group, listed in groupby(shown, key=lambda one: one.spec.group):
             imgui.text_disabled(group)
             _differing_table(model, group, list(listed))
         folded: dict[str, list[Difference]] = {}
         for one in study.all:
-            if not one.differs:
+            if not one.differs and one not in stale:
                 folded.setdefault(one.remark or "equal", []).append(one)
         for title, listed in folded.items():
             if imgui.tree_node(f"{len(listed)} {title}###folded {title}"):
@@ -77,17 +74,19 @@ def _differing_table(model: Model, group: str, listed: list[Difference]) -> None
 
 
 def show_difference(model: Model, one: Difference) -> None:
-    """Show a layer, and the difference between A's and B's, of several planes in that with the largest."""
+    """Show a layer, and the difference between A's and B's, of several planes in that with the largest, and pick its
+    pixel."""
     model.show_layer(one.spec.name)
     if one.planes:
         model.looks.choose_plane(one.spec.name, one.planes[0])
     if not model.comparison.neighbor:
         model.comparison.with_settings()
     model.comparison.set("difference")
+    if one.worst:
+        model.pointing.pick(one.worst)
 
 
 _SHORT = {"out of screen": "out", "disoccluded": "hole", "silhouettes": "edge", "dynamic": "mover"}  # headings
-_FIRST = ("dynamic", "disoccluded", "out of screen", "silhouettes", "focus", "rest")  # to keep where room is little
 _LEAST_GAIN = 0.005  # dB: less is written as nothing
 
 
@@ -109,7 +108,7 @@ def _ablation_table(model: Model) -> None:
     room = imgui.get_content_region_avail().x - min(names, hello_imgui.em_size(8))
     found = model.studies.ablation.sorted
     regions = [region for region in REGIONS if any(not math.isnan(gains[region]) for _, gains in found)]
-    regions = with_room(regions, max(int(room / (number + 2 * imgui.get_style().cell_padding.x)) - 1, 1))
+    regions = regions[: max(int(room / (number + 2 * imgui.get_style().cell_padding.x)) - 1, 1)]
     flags = imgui.TableFlags_.row_bg.value
     if not imgui.begin_table("###ablation", 2 + len(regions), flags):
         return
@@ -133,12 +132,6 @@ def _ablation_table(model: Model) -> None:
             imgui.table_next_column()
             imgui.text(_gain(gains[region]))
     imgui.end_table()
-
-
-def with_room(regions: list[str], most: int) -> list[str]:
-    """Return at most so many of the regions, in their order."""
-    kept = [region for region in _FIRST if region in regions][:most]
-    return [region for region in regions if region in kept]
 
 
 def _gain(gain: float) -> str:
@@ -217,14 +210,6 @@ def draw_doctor(app: App) -> None:
     else:
         widgets.hint(f"{len(doctor.findings)} finding{'s' * (len(doctor.findings) > 1)}")
     _findings(model, doctor)
-    if model.document.marks:
-        imgui.separator_text("Frames with findings")
-        with widgets.in_rows() as row:
-            for frame, reason in model.document.marks.items():
-                row(imgui.calc_text_size(f"{frame}").x)
-                if imgui.text_link(f"{frame}###mark {frame}"):
-                    model.playback.seek(frame * (model.n + 1))
-                widgets.tooltip(f"rendered frame {frame}: {reason}")
     if doctor.converts:
         imgui.separator()
         command = f"gffe check {model.source.target} --format-out FOUND.json"

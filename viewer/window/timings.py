@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import numpy as np
 from imgui_bundle import ImVec2, hello_imgui, imgui, implot
 from imgui_bundle import icons_fontawesome_6 as icons
 
@@ -57,13 +56,6 @@ def draw(app: App) -> None:
         imgui.text("all")
         _cost(columns, sum(means.values()), None, None)
         imgui.end_table()
-    flags = implot.Flags_.no_mouse_text.value | implot.Flags_.no_legend.value  # the table has the legend
-    if implot.begin_plot("###history", ImVec2(-1, hello_imgui.em_size(10)), flags):
-        flags = implot.AxisFlags_.auto_fit.value
-        implot.setup_axes("shown frame", "ms", flags, flags)
-        for name, values in model.timings.stages.items():
-            implot.plot_line(name, np.array(values, np.float64))
-        implot.end_plot()
 
 
 def _cost(columns: list[str], milliseconds: float, longest: float | None, color) -> None:
@@ -109,8 +101,6 @@ def draw_kernels(app: App) -> None:
         imgui.text_colored(widgets.red(), "does not build; the last good kernels are running")
         imgui.text_unformatted(engine.build_log)
         imgui.pop_text_wrap_pos()
-        if imgui.button("copy###copy_build_error"):
-            imgui.set_clipboard_text(engine.build_log)
     else:
         imgui.text_colored(_GREEN, "built")
         widgets.hint("Save a .cl file: it is rebuilt at once")

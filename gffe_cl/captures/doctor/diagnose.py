@@ -157,7 +157,9 @@ def _examine(clip: Clip, exposure: float) -> Diagnosis:
         found.findings += breaks(clip, looks, outcome.reading, step, twice, exposure, _SAMPLES)
         found.findings += _unknown(search, outcome.reading)
         if outcome.reading.motion == GIVEN.motion:
-            found.findings += truth_of_another_time(clip, looks)
+            blamed = {k for one in found.findings for k in getattr(one, "frames", ())}
+            blamed |= {one.frame for one in found.findings if isinstance(one, AtFrame)}
+            found.findings += truth_of_another_time(clip, looks, blamed)
     found.findings += [*color_rows(closely), *display_values(closely)]
     whole = [clip.read(entries[k]) for k in deep[:_LOOKED_AT]]
     found.findings += repeated_pixels(whole)

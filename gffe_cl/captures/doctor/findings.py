@@ -425,10 +425,11 @@ class FlippedInOneFrame(AtFrame):
 
 @dataclass(frozen=True)
 class OffInOneFrame(AtFrame):
-    """Depth and cameras of frame `frame` do not fit, while colors follow its vectors."""
+    """Depth and cameras of frame `frame` do not fit, while colors follow its vectors; `why`: as far as it is known."""
 
     name, about = "unexplained-frame", "camera"
-    sentence = "frame {0.frame} ({0.file}) does not fit, while colors follow its vectors: no known change explains it"
+    sentence = "frame {0.frame} ({0.file}) does not fit, while colors follow its vectors: {0.why}"
+    why: str = "no known change explains it"
 
 
 @dataclass(frozen=True)
@@ -495,7 +496,8 @@ class TruthOfAnotherTime(Finding):
     def words(self) -> str:
         named = ", ".join(self.files[:_MOST_NAMED]) + (" …" if len(self.files) > _MOST_NAMED else "")
         where = "later" if self.by > 0 else "earlier"
-        return f"ground truth {named} fits a time {abs(self.by):g} intervals {where} better, along motion vectors"
+        intervals = f"{abs(self.by):g} interval{'s' * (abs(self.by) != 1)}"
+        return f"ground truth {named} fits better {intervals} {where}, along motion vectors"
 
 
 # ---- what cannot be told -------------------------------------------------------------------------------

@@ -47,7 +47,9 @@ _AGREES, _FINEST = 0.1, 0.3  # of the motion's length, and pixels: residuals tha
 _SAME_SHOT = 0.7  # of the usual color scores
 _COPIES, _NOISE = 3, 0.02  # copies of a frame in a row, at most; of encoded colors
 _MOST = 12  # pairs that are looked at closely
+_STALE = "it has the camera of the frame before"
 _TRUTHS, _FEWEST, _CLEARLY = 40, 100, 0.6  # files that are read; samples, at least; error of the one at its own time
+_FAR = 2.0  # pixels: vectors of which a half is told from the blur of sampling
 _OTHER_TIMES = np.array([by for by in np.arange(-2, 2.01, 0.5) if by])  # intervals between rendered frames
 _GAIN, _EACH, _GOOD = 0.06, 0.6, 1.2  # sums of color scores: gain by colors of another frame; frames; good ones
 
@@ -111,12 +113,13 @@ def uneven_times(clip: Clip, left_out: set[int]) -> list[Finding]:
     return [UnevenTimes(tuple(steps), usual, min(steps.values()), max(steps.values()))] if steps else []
 
 
-def truth_of_another_time(clip: Clip, looks: dict[int, Look]) -> list[Finding]:
+def truth_of_another_time(clip: Clip, looks: dict[int, Look], left_out: set[int]) -> list[Finding]:
     """Return notes on ground truth between two of `looks` that clearly fits another time better: there its colors are
-    those of the later frame along that frame's motion vectors, which are taken for steady."""
+    those of the later frame along that frame's motion vectors, which are taken for steady. `left_out`: frames that
+    have a finding."""
     times = [entry.time for entry in clip.rendered]
     pairs = [(bisect_right(times, truth.time), truth) for truth in getattr(clip, "ground_truth", ())]
-    known = [(k, truth) for k, truth in pairs if k in looks and PREVIOUS in looks[k].neighbors]
+    known = [(k, one) for k, one in pairs if k in looks and k not in left_out and PREVIOUS in looks[k].neighbors]
     found: dict[float, TruthOfAnotherTime] = {}
     for (k, truth), by in read_ahead(known[:: -(-len(known) // _TRUTHS) or 1], partial(_truth_is_off, clip, looks)):
         if by:
@@ -132,7 +135,7 @@ def _truth_is_off(clip: Clip, looks: dict[int, Look], pair: tuple[int, FrameEntr
     camera, motion = truth.display_camera, look.motion
     if motion is None or image.shape[1::-1] != look.size or not camera or camera.intrinsics != look.camera.intrinsics:
         return 0.0
-    moves = look.textured & look.solid & (np.linalg.norm(motion, axis=-1) > _MOVES)
+    moves = look.textured & look.solid & (np.linalg.norm(motion, axis=-1) > _FAR)
     alpha = (truth.time - before.time) / (clip.rendered[k].time - before.time)
 
     def error(at: float) -> float:
@@ -185,7 +188,9 @@ def breaks(
         return []
     last, found = max(looks), []
     misfits = [k for k, share in fits.items() if share < _FITTING * usual and k not in left_out]
+    stale = {k for k in misfits if shown[k].camera == shown[k].neighbors[PREVIOUS].camera}
     right = [k for k in fits if k not in misfits]
+    misfits = [k for k in misfits if k - 1 not in stale]  # those come from a wrong place
     for k in misfits[:_MOST]:
         near = min(right, key=lambda other: abs(other - k))
         usual_colors = _along_both(clip, near, reading, exposure, samples)
@@ -199,7 +204,7 @@ def breaks(
         if len(misfits) == 1 and k in (1, last) and (follows[0] or follows[1]):
             found.append(MisfitAtEnd(k, file))
         elif follows[0] and not follows[1]:
-            found.append(OffInOneFrame(k, file))
+            found.append(OffInOneFrame(k, file, _STALE if k in stale else OffInOneFrame.why))
         elif follows[1] and moving:
             axes = _flipped(shown[k], reading, step, _FITTING * usual)
             found.append(FlippedInOneFrame(k, file, axes) if axes else Gap(k, file))

@@ -58,19 +58,20 @@ def test_bad_pixels_are_a_note_that_says_where():
 
 
 class WithTruth(Kept):
-    """The clip with ground truth half way between its frames, of which some show another time."""
+    """The clip, or a slower one, with ground truth half way between its frames, of which some show another time."""
 
-    def __init__(self, shown):
-        super().__init__(list(clip().images))
+    def __init__(self, shown, speed=1.0):
+        super().__init__(list(clip().images) if speed == 1 else frames_of(lambda k: view_at(speed * k)))
+        self._speed = speed
         self._shown = [shown(k) for k in range(len(self.frames) - 1)]
         self.ground_truth = [
-            FrameEntry(f"truth_{k}.exr", (k + 0.5) / 30, "ground_truth", display_camera=view_at(k + 0.5))
+            FrameEntry(f"truth_{k}.exr", (k + 0.5) / 30, "ground_truth", display_camera=view_at(speed * (k + 0.5)))
             for k in range(len(self._shown))
         ]
 
     def read_color(self, entry):
         at = self._shown[self.ground_truth.index(entry)] + 0.5
-        return made_world().frame(view_at(at), at / 30, W, H, None, reset=True, samples=2).color
+        return made_world().frame(view_at(self._speed * at), at / 30, W, H, None, reset=True, samples=2).color
 
 
 @pytest.mark.parametrize(("shown", "found"), [
@@ -81,6 +82,22 @@ class WithTruth(Kept):
 def test_ground_truth_of_another_time_is_named(shown, found):
     notes = [one for one in examine(WithTruth(shown)).findings if one.name == "truth-of-another-time"]
     assert {one.by: one.frames for one in notes} == found and all("truth_3.exr" in str(one) for one in notes[:1])
+    assert all("better 1 interval later, along" in str(one) for one in notes if one.by == 1)
+
+
+def test_ground_truth_is_not_blamed_for_slow_motion_or_for_other_faults():
+    """A quarter of a pixel is not told from the blur of what is sampled between pixels."""
+    assert "truth-of-another-time" not in names(examine(WithTruth(lambda k: k + 0.5, speed=0.2)))
+    stale = WithTruth(lambda k: k)
+    stale.images[4] = replace(stale.images[4], color=stale.images[3].color)
+    assert names(examine(stale)) == ["repeated-color"]
+
+
+def test_a_camera_of_the_frame_before_is_one_fault():
+    frames = list(clip().images)
+    frames[4] = replace(frames[4], camera=frames[3].camera)
+    (fault,) = examine(Kept(frames)).faults
+    assert (fault.name, fault.frame) == ("unexplained-frame", 4) and "has the camera of the frame before" in str(fault)
 
 
 def test_uneven_times_are_a_note():
