@@ -178,7 +178,9 @@ def test_differences_from_a_frame_before(session):
     model.playback.seek(4)
     model.comparison.with_neighbor(NEIGHBORS[0])
     session.settle()
-    color = next(one for one in studied(session, model.studies.differing).all if one.spec.name == "rendered.color")
+    found = {one.spec.name: one for one in studied(session, model.studies.differing).all}
+    color = found["rendered.color"]
+    assert "shading_trend.trend" in found and "shading_trend.trends" not in found, "these are of another, new frame"
     model.show_layer("rendered.color")
     session.settle()
     differs = (model.contents.result.images["rendered.color"] != model.contents.second.images["rendered.color"]).any(-1)

@@ -37,7 +37,7 @@ def color_bars(gui: Gui):
         gui.settle()
         gui.frames(2)
         left, top, width, height = map(int, gui.area())
-        rows, columns = slice(height // 5, height // 2), slice(4 * width // 5, width)
+        rows, columns = slice(height // 5, height), slice(4 * width // 5, width)
         drawn, picture = (image[rows, columns] for image in (gui.window()[top:, left : left + width], gui.picture()))
         colors = len(np.unique(drawn[(drawn[..., :3] != picture[..., :3]).any(-1)], axis=0))
         assert colors > 50 if has_bar else colors == 0, (name, colors)

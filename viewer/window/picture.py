@@ -360,7 +360,8 @@ def _tile(model: Model, place, origin, caption: int, clicked: bool) -> None:
     spec = model.contents.spec(place.name)
     if spec is None:
         return
-    name = widgets.cut(f"{spec.group}: {spec.label}", place.width)
+    name = f"{spec.group}: {spec.label}"
+    name = widgets.cut(name if imgui.calc_text_size(name).x <= place.width else spec.label, place.width)
     marks.add_text(ImVec2(left, bottom + 1), imgui.get_color_u32((0.8, 0.8, 0.82, 1.0)), name)
     contents = model.contents
     reason = contents.why_not(place.name) or ("none in this frame" if place.name in contents.asked else "computing …")

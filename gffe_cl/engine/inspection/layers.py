@@ -99,11 +99,11 @@ _LABELS = {
 
 def named_images(pipeline: Pipeline, generated: bool = True) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
     """Return every image that the pipeline holds, by its layer's name; without `generated` only those that it makes for
-    rendered frames, too."""
+    rendered frames, too, which are not on the network's grids."""
     return {
         f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name])
         for owner, spec in pipeline.named_buffers()
-        if spec.grid != "once" and (generated or not _only_for_generated(owner))
+        if spec.grid != "once" and (generated or not (_only_for_generated(owner) or spec.grid.startswith("network")))
     } | {f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name]) for owner, spec, _ in pipeline.conversions()}
 
 
