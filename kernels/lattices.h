@@ -5,7 +5,7 @@
 
 #include "frame.h"
 #include "blocks.h"
-#include "color_code.h"
+#include "encode.h"
 
 /* What set the thresholds: docs/deviations.md, "Lattices move as one layer". */
 #define LAYER_STEP 0.92f          /* ratio of depths at a step; what is within it of the nearest depth is near */
@@ -35,21 +35,26 @@ INLINE float count_of(const int8 is) {
 /* Steps, of depths that are not NaN. */
 INLINE int8 is_step(const float8 a, const float8 b) { return (a < b ? a : b) < LAYER_STEP * (a < b ? b : a); }
 
-/* Brightness of a pixel's color code. */
-INLINE float code_luma(__global const half *color, const int px, const float offset) {
-    const float3 code = load_code(color, px, offset);
-    return code.x + code.y + code.z;
+/* Brightness of the color codes of LANES pixels. */
+INLINE Floats code_luma(__global const half *color, const Ints px, const float offset) {
+    Strip s;
+    gather_strip(color, px, &s);
+    for (int part = 0; part < PARTS; ++part) s.part[part] = encode_texels(finite_texels(s.part[part]), offset);
+    const Wide4 code = channels_of(&s);
+    return code.c[0] + code.c[1] + code.c[2];
 }
 
-/* The squared difference of a pixel's brightness to that in the frame before where a static surface of depth z was;
-   negative where that was out of the image. */
-INLINE float unexplained(const int x, const int y, const float z, const float luma, const Frame *frame,
-                         __global const half *color_prev) {
-    const float3 before = reproject(pixel_center(x, y), z, frame->to_previous);
-    if (!lands(before, frame->source_width, frame->source_height)) return -1.0f;
-    const int px = (int)before.y * frame->source_width + (int)before.x;
-    const float error = luma - code_luma(color_prev, px, frame->code_offset);
-    return error * error;
+/* The squared difference of pixels' brightness to that in the frame before where static surfaces of depth z were;
+   negative where those were out of the image. */
+INLINE Floats unexplained(const int x, const int y, const Floats z, const Floats luma, const Frame *frame,
+                          __global const half *color_prev) {
+    const int width = frame->source_width;
+    const Wide3 before = wide_reproject(row_centers(x), (Floats)((float)y + 0.5f), z, frame->to_previous);
+    const Ints lands = (before.z > 0.0f) & (before.x >= 0.0f) & (before.y >= 0.0f) & (before.x < (float)width)
+                       & (before.y < (float)frame->source_height);
+    const Ints px = lands ? to_ints(before.y) * width + to_ints(before.x) : (Ints)(0);
+    const Floats error = luma - code_luma(color_prev, px, frame->code_offset);
+    return lands ? error * error : (Floats)(-1.0f);
 }
 
 /* Weighs block number `block`, if there are so many. layer: the mean (x, y, inverse depth) of its near pixels, and how
@@ -85,17 +90,20 @@ INLINE void weigh_layers(const int block, const Frame *frame, __global const flo
     const float z_near = fmin(fmin(of_four.x, of_four.y), fmin(of_four.z, of_four.w));
     float4 sum = (float4)(0.0f);
     float apart = 0.0f, together = 0.0f;
-    for (int k = 0; k < BLOCK_WIDTH * BLOCK_HEIGHT; ++k) {
+    for (int k = 0; k < BLOCK_WIDTH * BLOCK_HEIGHT; k += LANES) {
         const int x = x0 + k % BLOCK_WIDTH, y = y0 + k / BLOCK_WIDTH, px = y * width + x;
-        const float z = depth[px];
-        if (!(z > 0.0f)) continue;
-        if (LAYER_STEP * z < z_near) sum += (float4)(pixel_center(x, y), divide(1.0f, z), 1.0f);
-        const float luma = code_luma(color, px, frame->code_offset);
-        const float as_two = unexplained(x, y, z, luma, frame, color_prev),
-                    as_one = unexplained(x, y, z_near, luma, frame, color_prev);
-        if (as_two < 0.0f || as_one < 0.0f) continue;
-        apart += as_two;
-        together += as_one;
+        const Floats z = load_floats(0, depth + px), inverse = wide_divide((Floats)(1.0f), z);
+        const Floats luma = code_luma(color, px + LANE_NUMBERS, frame->code_offset);
+        const Floats as_two = unexplained(x, y, z, luma, frame, color_prev),
+                     as_one = unexplained(x, y, (Floats)(z_near), luma, frame, color_prev);
+        const Ints is_near = (z > 0.0f) & (LAYER_STEP * z < z_near),
+                   compares = (z > 0.0f) & !(as_two < 0.0f) & !(as_one < 0.0f);
+        for (int lane = 0; lane < LANES; ++lane) {
+            if (int_of(&is_near, lane)) sum += (float4)(pixel_center(x + lane, y), float_of(&inverse, lane), 1.0f);
+            if (!int_of(&compares, lane)) continue;
+            apart += float_of(&as_two, lane);
+            together += float_of(&as_one, lane);
+        }
     }
     if (sum.w > 0.0f) layer[block] = (float4)(mean_of(sum.xyz, sum.w), sum.w);
     errors[block] =
