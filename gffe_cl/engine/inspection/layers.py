@@ -99,11 +99,11 @@ _LABELS = {
 
 def named_images(pipeline: Pipeline, generated: bool = True) -> dict[str, tuple[BufferSpec, cl.Buffer]]:
     """Return every image that the pipeline holds, by its layer's name; without `generated` only those that it makes for
-    rendered frames, too, which are not on the network's grids."""
+    rendered frames, too."""
     return {
         f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name])
         for owner, spec in pipeline.named_buffers()
-        if spec.grid != "once" and (generated or not (_only_for_generated(owner) or spec.grid.startswith("network")))
+        if spec.grid != "once" and (generated or not _only_for_generated(owner, spec))
     } | {f"{owner.name}.{spec.name}": (spec, owner.buffer[spec.name]) for owner, spec, _ in pipeline.conversions()}
 
 
@@ -145,7 +145,7 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
     """Return all layers by name: the frame's own ("gae" if it is not "final"), then those of every stage in the
     order of the pipeline, with each stage's output."""
     made = [
-        layer_of(owner.name, spec, of_generated=_only_for_generated(owner))
+        layer_of(owner.name, spec, of_generated=_only_for_generated(owner, spec))
         for owner, spec in pipeline.named_buffers()
         if spec.grid != "once" and not isinstance(owner, Output)
     ]
@@ -157,8 +157,8 @@ def layers_of(pipeline: Pipeline) -> dict[str, LayerSpec]:
     return own | {spec.name: spec for spec in made}
 
 
-def _only_for_generated(owner: Owner) -> bool:
-    """Return whether a rendered frame changes none of the owner's buffers."""
+def _only_for_generated(owner: Owner, spec: BufferSpec) -> bool:
+    """Return whether a rendered frame leaves a buffer as it is: it does not run the network."""
     if isinstance(owner, Stage) and not isinstance(owner, Presentation):
-        return type(owner).rendered is Stage.rendered
+        return type(owner).rendered is Stage.rendered or spec.grid.startswith("network")
     return isinstance(owner, (ExtrapolatedBuffers, Output))
